@@ -1,0 +1,140 @@
+//! The CPU as a device: SIMD kernels over bricks and tiles on all cores. A first-class device, not a fallback.
+
+use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::grid::BrickLayout;
+use crate::transfer::Table;
+
+mod bricks;
+mod classify;
+mod compose;
+pub mod march;
+pub mod simd;
+mod source;
+pub mod sweep;
+mod transport;
+
+/// The CPU.
+pub struct Cpu {
+    pool: rayon::ThreadPool,
+}
+
+impl Cpu {
+    /// A device of `threads` threads; 0 for one per core.
+    pub fn new(threads: usize) -> Result<Self> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("gloaming-{i}"))
+            .build()
+            .map_err(|e| Error::Device(format!("cannot start threads: {e}")))?;
+        Ok(Cpu { pool })
+    }
+
+    /// Number of threads.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+}
+
+/// The values of a host buffer. A buffer of another device is a bug of ours.
+fn host(buffer: &Buffer) -> &[f32] {
+    buffer.host().expect("a buffer of the CPU device")
+}
+
+fn host_mut(buffer: &mut Buffer) -> &mut [f32] {
+    match &mut buffer.0 {
+        Storage::Host(v) => v,
+        #[cfg(feature = "gpu")]
+        _ => panic!("a buffer of the CPU device"),
+    }
+}
+
+impl Device for Cpu {
+    fn name(&self) -> String {
+        let simd = match simd::level() {
+            simd::Level::Portable => "portable SIMD",
+            simd::Level::Avx2 => "AVX2",
+            simd::Level::Avx512 => "AVX-512",
+        };
+        format!("cpu ({simd}, {} threads)", self.threads())
+    }
+
+    fn alloc(&self, len: usize) -> Result<Buffer> {
+        let mut values = Vec::new();
+        values.try_reserve_exact(len).map_err(|_| Error::OutOfMemory { needed: 4 * len as u64, budget: 0 })?;
+        values.resize(len, 0.0);
+        Ok(Buffer(Storage::Host(values)))
+    }
+
+    fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()> {
+        host_mut(into)[..values.len()].copy_from_slice(values);
+        Ok(())
+    }
+
+    fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()> {
+        out.copy_from_slice(&host(from)[..out.len()]);
+        Ok(())
+    }
+
+    fn classify(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: [usize; 3],
+        field: &Buffer,
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        self.pool.install(|| classify::classify(optic, table, data, host(field), size, host_mut(out)));
+        Ok(())
+    }
+
+    fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
+        Ok(self.pool.install(|| bricks::brick_range(layout, host(field))))
+    }
+
+    fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>> {
+        Ok(self.pool.install(|| bricks::change(layout, host(now), host(before))))
+    }
+
+    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| classify::restrict(size, host(values), coarse, host_mut(out)));
+        Ok(())
+    }
+
+    fn sweep(
+        &self,
+        sweep: &Sweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        Ok(self.pool.install(|| sweep::sweep(sweep, layout, host(sigma), host_mut(rho), fronts)))
+    }
+
+    fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
+        self.pool.install(|| source::source(term, host_mut(source), gradient.map(|g| g.map(host_mut))));
+        Ok(())
+    }
+
+    fn transport(
+        &self,
+        transport: &Transport,
+        phi: &mut Buffer,
+        current: Option<[&mut Buffer; 3]>,
+    ) -> Result<(f32, f32)> {
+        Ok(self.pool.install(|| transport::transport(transport, host_mut(phi), current.map(|c| c.map(host_mut)))))
+    }
+
+    fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
+        self.pool.install(|| compose::compose(terms, out));
+        Ok(())
+    }
+
+    fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
+        self.pool.install(|| march::march(march, frame));
+        Ok(())
+    }
+}

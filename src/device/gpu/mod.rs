@@ -1,0 +1,1 @@
+//! wgpu adapters as devices.

@@ -1,0 +1,301 @@
+//! Kernels: arithmetic on voxels and rays, and nothing else.
+//!
+//! A [`Device`] knows no scene file, no clock and no channel. Every kernel exists in Rust (`device/cpu/NAME.rs`) and in
+//! WGSL (`shaders/NAME.wgsl`) under the same name, with the same equation at the top; a test runs both on the same random
+//! input. What decides (which brick next, what may be skipped, when to stop) lives above, once.
+
+use glam::Vec3;
+
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::frame::Frame;
+use crate::grid::{BrickLayout, Grid};
+use crate::transfer::Table;
+
+pub mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+
+/// A dense array of f32 where the device can work on it. Made by [`Device::alloc`]; used only with the device that made it.
+pub struct Buffer(pub(crate) Storage);
+
+pub(crate) enum Storage {
+    Host(Vec<f32>),
+    #[cfg(feature = "gpu")]
+    Gpu {
+        buffer: wgpu::Buffer,
+        len: usize,
+    },
+}
+
+impl Buffer {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        match &self.0 {
+            Storage::Host(v) => v.len(),
+            #[cfg(feature = "gpu")]
+            Storage::Gpu { len, .. } => *len,
+        }
+    }
+
+    /// True when there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The values, when they are in host memory.
+    pub fn host(&self) -> Option<&[f32]> {
+        match &self.0 {
+            Storage::Host(v) => Some(v),
+            #[cfg(feature = "gpu")]
+            _ => None,
+        }
+    }
+}
+
+/// Which optical property [`Device::classify`] computes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Optic {
+    /// Extinction σ_t of direct and uncollided light, 1/world length.
+    Extinction,
+    /// Delta-scaled extinction `σ_t (1 − ω f)`, ω the mean over channels, f = g² (light.md, delta-Eddington).
+    ScaledExtinction {
+        /// Fraction of scattering that is treated as going straight on.
+        f: f32,
+    },
+    /// Scattering coefficient `ω σ_t` of a channel.
+    Scattering {
+        /// 0 red, 1 green, 2 blue.
+        channel: usize,
+    },
+    /// Emitted radiance per world length of a channel.
+    Emission {
+        /// 0 red, 1 green, 2 blue.
+        channel: usize,
+    },
+}
+
+/// Geometry of one pass of short characteristics over a grid, dominant axis first (light.md, direct light).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sweep {
+    /// Values along x, y, z.
+    pub size: [usize; 3],
+    /// The way the light travels, in index space: unit world direction divided by spacing, so that anisotropic spacing
+    /// enters offsets and lengths. Only the ratios matter.
+    pub direction: [f32; 3],
+    /// World length of the path between two layers perpendicular to the dominant axis: `Δx_a / |u_a|`.
+    pub length: f32,
+    /// Foot by clamped Catmull–Rom instead of bilinear weights. Whole-grid only: `fronts` are ignored and every brick is
+    /// swept, because a cubic foot reaches downstream bricks of the previous layer.
+    pub cubic: bool,
+}
+
+impl Sweep {
+    /// The sweep of `grid` along unit world direction `u`.
+    pub fn new(grid: &Grid, u: Vec3, cubic: bool) -> Self {
+        let direction: [f32; 3] = std::array::from_fn(|a| (f64::from(u[a]) / grid.spacing[a]) as f32);
+        let sweep = Sweep { size: grid.size, direction, length: 0.0, cubic };
+        Sweep { length: 1.0 / direction[sweep.axis()].abs(), ..sweep }
+    }
+
+    /// The dominant axis in index space; the lower one where two are equal.
+    pub fn axis(&self) -> usize {
+        let d = self.direction.map(f32::abs);
+        if d[0] >= d[1] && d[0] >= d[2] {
+            0
+        } else if d[1] >= d[2] {
+            1
+        } else {
+            2
+        }
+    }
+
+    /// True along each axis where the light travels towards increasing indices (also where it does not move).
+    pub fn ascending(&self) -> [bool; 3] {
+        self.direction.map(|d| d >= 0.0)
+    }
+}
+
+/// One discrete ordinate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ordinate {
+    /// Unit world direction of travel.
+    pub direction: Vec3,
+    /// Quadrature weight; all weights sum to 4π.
+    pub weight: f32,
+    /// Radiance that enters the grid along this direction.
+    pub inflow: f32,
+}
+
+/// One pass of transport along every ordinate, one colour channel:
+/// `I = I_up e^−τ + w₀ S + w₁ S_up`, accumulated into `φ = Σ w I` and `J = Σ w Ω I`
+/// (light.md, first-collision-source ordinates).
+pub struct Transport<'a> {
+    /// The light grid.
+    pub grid: &'a Grid,
+    /// The directions.
+    pub ordinates: &'a [Ordinate],
+    /// Extinction (delta-scaled) per world length.
+    pub sigma: &'a Buffer,
+    /// Isotropic part of the source function S (radiance; emission per length is σS).
+    pub source: &'a Buffer,
+    /// Linearly anisotropic part: S(Ω) = source + Ω·gradient, clamped at 0. `None` when g = 0.
+    pub gradient: Option<[&'a Buffer; 3]>,
+}
+
+/// One colour channel's part in the source function
+/// `S = [σ_s*/4π · (φ + ΣE_l + 3g* Ω·(J + ΣE_l u_l)) + emission] / σ*` of [`Device::source`].
+pub struct SourceTerm<'a> {
+    /// Delta-scaled extinction σ*.
+    pub sigma: &'a Buffer,
+    /// Delta-scaled scattering coefficient of the channel, `ω (1 − f) σ_t`.
+    pub scattering: &'a Buffer,
+    /// Emission per world length of the channel, if any.
+    pub emission: Option<&'a Buffer>,
+    /// First-collision fluence of each light on this grid, with the channel's irradiance and the light's direction.
+    pub first: &'a [(&'a Buffer, f32, Vec3)],
+    /// Fluence of scattered light.
+    pub phi: &'a Buffer,
+    /// Its current J and 3g*, where scattering is anisotropic.
+    pub current: Option<([&'a Buffer; 3], f32)>,
+}
+
+/// A scalar volume that lights the samples of a ray: in-scattered radiance is `ω(v) · max(0, Σ_terms weight(ray)·value(x))`.
+pub struct Term<'a> {
+    /// Values on `grid`.
+    pub values: &'a Buffer,
+    /// Where they sit: fills the same box as the data grid.
+    pub grid: &'a Grid,
+    /// What a value contributes to each channel.
+    pub weight: Weight,
+}
+
+/// Weight of a [`Term`], constant along a ray.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Weight {
+    /// The same for every ray: `φ/4π` of a colour channel, say.
+    Uniform([f32; 3]),
+    /// Direct light: `irradiance · p(cos θ)` with Henyey–Greenstein p, θ between the light's travel and the way to the eye.
+    Phase {
+        /// The way the light travels, unit.
+        direction: Vec3,
+        /// Irradiance per channel.
+        irradiance: [f32; 3],
+        /// Henyey–Greenstein g.
+        g: f32,
+    },
+    /// One component of a current J: `weight · Ω[axis]`, Ω the way to the eye.
+    Current {
+        /// 0 x, 1 y, 2 z.
+        axis: usize,
+        /// Per channel.
+        weight: [f32; 3],
+    },
+}
+
+/// Phong shading by the gradient of extinction, gated by its magnitude (Zhang & Ma (24), GPU Gems 39 (4)).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Phong {
+    /// Towards the light, unit; the first light's.
+    pub towards_light: Vec3,
+    /// Strengths.
+    pub ambient: f32,
+    /// Lambert.
+    pub diffuse: f32,
+    /// Highlight.
+    pub specular: f32,
+    /// Exponent of the highlight.
+    pub shininess: f32,
+}
+
+/// Ray casting through data lit by light volumes: `L = ∫ T σ_t [ω ΣTerms + j/σ_t] ds`, samples at multiples of `step`
+/// from the entry into the volume's box, opacity of a sample `1 − e^(−σ_t step)`.
+pub struct March<'a> {
+    /// The data grid.
+    pub grid: &'a Grid,
+    /// Data values; below [`crate::field::HOLE`] transparent.
+    pub field: &'a Buffer,
+    /// Values to optics.
+    pub table: &'a Table,
+    /// Bricks of the data grid for empty-space skipping.
+    pub bricks: BrickLayout,
+    /// Largest extinction or emission in each brick with a halo of one value; 0 where nothing can be seen.
+    pub majorant: &'a [f32],
+    /// Lights; may be empty (emission only).
+    pub terms: &'a [Term<'a>],
+    /// Phong shading, if any.
+    pub phong: Option<Phong>,
+    /// The camera.
+    pub camera: &'a Camera,
+    /// World length between samples.
+    pub step: f32,
+}
+
+/// Where kernels run.
+pub trait Device: Send + Sync {
+    /// Name for people: `cpu (AVX-512, 2 threads)` or the adapter's name.
+    fn name(&self) -> String;
+
+    /// A zeroed buffer of `len` values.
+    fn alloc(&self, len: usize) -> Result<Buffer>;
+
+    /// Copies host values into the start of a buffer.
+    fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()>;
+
+    /// Copies the start of a buffer into host memory.
+    fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()>;
+
+    /// Mean of an optical property over the data voxels under each light voxel, after the transfer function, so that
+    /// shadows do not depend on the light grid (validation.md 2). Both grids fill the same box; holes count as zero.
+    fn classify(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: [usize; 3],
+        field: &Buffer,
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()>;
+
+    /// Smallest and largest value of each brick with a halo of one value, holes left out (`[+∞, −∞]` when nothing else).
+    fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>>;
+
+    /// Bound on the change of optical depth across each brick, per unit spacing and for each dominant axis:
+    /// `Σ_layers max|now − before|` over the brick with a halo of one value, outer layers counted half (light.md, d_sig).
+    fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>>;
+
+    /// Mean of a volume over the voxels of a coarser (or equal) grid that fills the same box.
+    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()>;
+
+    /// Direct light by short characteristics over the listed bricks, front by front:
+    /// `ρ = ρ_foot · exp(−½(σ_foot + σ)·length)`, ρ = 1 and σ = 0 outside; the first layer starts half a voxel inside the
+    /// box. `rho` holds the previous solution. Returns, for each listed brick in order, the largest change of `rho` on the
+    /// brick's downstream faces: 0 means that nothing downstream of it sees a difference.
+    fn sweep(
+        &self,
+        sweep: &Sweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>>;
+
+    /// Source function of scattered light: see [`SourceTerm`]. `gradient` is written where `term.current` is given.
+    fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()>;
+
+    /// One transport pass: see [`Transport`]. `phi` and `current` are overwritten; returns the largest change of `phi`
+    /// against what it held, and the largest new value.
+    fn transport(
+        &self,
+        transport: &Transport,
+        phi: &mut Buffer,
+        current: Option<[&mut Buffer; 3]>,
+    ) -> Result<(f32, f32)>;
+
+    /// `Σ weight_i · volume_i` per channel into interleaved RGB on the host: the illuminated volume. All volumes have
+    /// `out.len()` values.
+    fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()>;
+
+    /// Ray casting: see [`March`]. Pixels are premultiplied by coverage.
+    fn march(&self, march: &March, frame: &mut Frame) -> Result<()>;
+}

@@ -1,0 +1,70 @@
+//! Fields readable by region, and timesteps.
+
+use std::sync::Arc;
+
+use crate::error::Result;
+use crate::grid::{Grid, Region};
+
+/// Values below this are holes: no data, hence transparent. Non-finite and fill values become [`EMPTY`] when a step is
+/// taken in, so that no NaN reaches a kernel; any interpolation that touches a hole stays below this bound.
+pub const HOLE: f32 = -1e30;
+/// The value that marks a hole.
+pub const EMPTY: f32 = -1e38;
+
+/// A scalar field on a uniform grid, readable by region, so that nothing forces a whole volume into memory.
+pub trait Field: Send + Sync {
+    /// Reads `region` into `out` in (z, y, x) order, x fastest; `out.len() == region.len()`. Values are as the file has
+    /// them (physical units after packing), converted to f32; NaN and infinities are passed on.
+    fn read(&self, region: Region, out: &mut [f32]) -> Result<()>;
+
+    /// The same in f64, for statistics. The default goes through f32.
+    fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
+        let mut narrow = vec![0.0; out.len()];
+        self.read(region, &mut narrow)?;
+        out.iter_mut().zip(narrow).for_each(|(o, v)| *o = f64::from(v));
+        Ok(())
+    }
+}
+
+/// One step of a series.
+#[derive(Clone)]
+pub struct Timestep {
+    /// The simulation's own step number.
+    pub step: u64,
+    /// Physical time; `None` where neither the file nor a setting tells.
+    pub time: Option<f64>,
+    /// Where the values sit.
+    pub grid: Grid,
+    /// The values.
+    pub field: Arc<dyn Field>,
+}
+
+/// A field that is already in memory, in (z, y, x) order.
+pub struct Dense {
+    size: [usize; 3],
+    values: Vec<f32>,
+}
+
+impl Dense {
+    /// Wraps `values`, which must number `nx·ny·nz`.
+    pub fn new(size: [usize; 3], values: Vec<f32>) -> Self {
+        assert_eq!(values.len(), size.iter().product::<usize>(), "values must fill the grid");
+        Dense { size, values }
+    }
+}
+
+impl Field for Dense {
+    fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
+        if region.start == [0; 3] && region.size == self.size {
+            out.copy_from_slice(&self.values);
+            return Ok(());
+        }
+        let [nx, ny, _] = self.size;
+        for (row, out) in out.chunks_exact_mut(region.size[0]).enumerate() {
+            let (j, k) = (region.start[1] + row % region.size[1], region.start[2] + row / region.size[1]);
+            let at = (k * ny + j) * nx + region.start[0];
+            out.copy_from_slice(&self.values[at..at + region.size[0]]);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,38 @@
+//! gloaming lights time-varying volumes.
+//!
+//! It takes one timestep after another from a file series or a running simulation, solves where the light goes
+//! **starting from the previous step's light**, and writes lit frames, a movie or the illuminated volume itself.
+//!
+//! The modules, from the bottom up (imports point only downwards):
+//!
+//! | module | what it holds |
+//! | --- | --- |
+//! | [`error`], [`grid`], [`field`] | errors by who can act; grids, regions and bricks; timesteps readable by region |
+//! | [`transfer`], [`lights`], [`camera`], [`scene`] | what the user describes: the TOML scene file |
+//! | [`device`] | kernels: arithmetic on voxels and rays, on the CPU and as WGSL |
+//! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
+//! | [`source`], [`sink`] | file formats in, file formats out |
+//! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
+//!
+//! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
+
+pub mod camera;
+pub mod device;
+pub mod error;
+pub mod field;
+pub mod frame;
+pub mod grid;
+pub mod ledger;
+pub mod light;
+pub mod lights;
+pub mod medium;
+pub mod pipeline;
+pub mod render;
+pub mod scene;
+pub mod session;
+pub mod sink;
+pub mod source;
+pub mod transfer;
+
+pub use error::{Error, Result};
+pub use grid::{BrickLayout, Grid, Region};

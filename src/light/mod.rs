@@ -1,0 +1,1 @@
+//! Light: direct and scattered, kept from step to step.

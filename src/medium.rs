@@ -1,0 +1,1 @@
+//! From data values to optics: classification and what may be skipped.

@@ -1,0 +1,1 @@
+//! A whole series: reading, lighting and writing at once.

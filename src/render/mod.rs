@@ -1,0 +1,1 @@
+//! Renderers: from a lit volume to a frame.

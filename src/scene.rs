@@ -1,0 +1,429 @@
+//! The scene file: what to show, lit how, seen from where. Every key is optional.
+
+use serde::{Deserialize, Serialize};
+
+/// A whole scene file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+pub struct Scene {
+    /// Which field, and the range of its values.
+    pub field: FieldKeys,
+    /// How values become optical properties.
+    pub transfer: TransferKeys,
+    /// The light sources; none given means a key light, a weaker fill and a dim environment.
+    pub lights: Vec<LightKeys>,
+    /// How light is solved.
+    pub light: SolverKeys,
+    /// The cameras; none given means one that frames the volume.
+    pub cameras: Vec<CameraKeys>,
+    /// How pictures are made of it.
+    pub render: RenderKeys,
+    /// How a movie is encoded.
+    pub movie: MovieKeys,
+}
+
+/// `[field]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[serde(deny_unknown_fields, default)]
+pub struct FieldKeys {
+    /// Name of the dataset or field; else the only candidate.
+    pub name: Option<String>,
+    /// Values that map to 0 and 1 of the transfer function.
+    pub range: RangeKey,
+    /// Component of a vector field: x, y, z, an index, or magnitude.
+    pub component: ComponentKey,
+}
+
+/// `field.range`
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum RangeKey {
+    /// `"series"` or `"step"`.
+    Over(RangeOver),
+    /// `[lo, hi]`
+    Fixed([f64; 2]),
+}
+
+/// Over what a range of values is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RangeOver {
+    /// All steps of the series: colours do not jump.
+    Series,
+    /// Each step for itself.
+    Step,
+}
+
+impl Default for RangeKey {
+    fn default() -> Self {
+        RangeKey::Over(RangeOver::Series)
+    }
+}
+
+/// `field.component`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum ComponentKey {
+    /// Index of the component.
+    Index(usize),
+    /// `x`, `y`, `z` or `magnitude`.
+    Name(String),
+}
+
+impl Default for ComponentKey {
+    fn default() -> Self {
+        ComponentKey::Name("magnitude".into())
+    }
+}
+
+/// `[transfer]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TransferKeys {
+    /// Name of a colour map.
+    pub colormap: String,
+    /// Colours as `[value, r, g, b]` instead of a named map.
+    pub points: Option<Vec<[f32; 4]>>,
+    /// Opacity per reference length as `[value, opacity]`.
+    pub opacity: Option<Vec<[f32; 2]>>,
+    /// Reference length in voxels of the data grid (mean spacing).
+    pub reference: f64,
+    /// Extinction per world length at value 1, linear in the value, instead of `opacity`.
+    pub extinction: Option<f64>,
+    /// Scattered fraction of the extinction, multiplied by the map's colour.
+    pub albedo: NumberOrRgb,
+    /// Henyey–Greenstein g, −1 < g < 1.
+    pub anisotropy: f32,
+    /// Emitted radiance per reference length as `[value, radiance]`, in the map's colour.
+    pub emission: Vec<[f32; 2]>,
+}
+
+impl Default for TransferKeys {
+    fn default() -> Self {
+        TransferKeys {
+            colormap: "inferno".into(),
+            points: None,
+            opacity: None,
+            reference: 1.0,
+            extinction: None,
+            albedo: NumberOrRgb::Number(0.8),
+            anisotropy: 0.0,
+            emission: vec![],
+        }
+    }
+}
+
+/// One number for all channels, or three.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum NumberOrRgb {
+    /// The same in every channel.
+    Number(f32),
+    /// Red, green, blue.
+    Rgb([f32; 3]),
+}
+
+impl NumberOrRgb {
+    /// As three channels.
+    pub fn rgb(self) -> [f32; 3] {
+        match self {
+            NumberOrRgb::Number(v) => [v; 3],
+            NumberOrRgb::Rgb(c) => c,
+        }
+    }
+}
+
+/// `[[lights]]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LightKeys {
+    /// distant, point, cone or environment.
+    pub kind: LightKind,
+    /// The way the light travels, world axes.
+    pub direction: [f64; 3],
+    /// Where a point or cone light is.
+    pub position: [f64; 3],
+    /// Radius of a point light, world length.
+    pub radius: f64,
+    /// Half angle of a cone light in degrees.
+    pub angle: f64,
+    /// Colour per channel.
+    pub color: [f32; 3],
+    /// Distant: irradiance on a facing plane; point, cone: power/4π; environment: radiance.
+    pub intensity: f32,
+    /// Angular radius in degrees.
+    pub softness: f64,
+    /// Equirectangular image of an environment light.
+    pub image: Option<std::path::PathBuf>,
+}
+
+impl Default for LightKeys {
+    fn default() -> Self {
+        LightKeys {
+            kind: LightKind::Distant,
+            direction: [-0.5, -1.0, -0.4],
+            position: [0.0; 3],
+            radius: 0.0,
+            angle: 30.0,
+            color: [1.0; 3],
+            intensity: 3.0,
+            softness: 0.0,
+            image: None,
+        }
+    }
+}
+
+/// `lights.kind`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LightKind {
+    /// Parallel rays.
+    Distant,
+    /// From one point in all directions.
+    Point,
+    /// From one point within a cone.
+    Cone,
+    /// From all directions.
+    Environment,
+}
+
+/// `[light]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SolverKeys {
+    /// physical or paper.
+    pub model: Model,
+    /// Light voxels per data voxel along an axis (a fraction), or a size (an integer above 1), for scattered light.
+    pub resolution: f64,
+    /// The same for direct light in the physical model.
+    pub direct_resolution: f64,
+    /// Foot of the characteristic.
+    pub interpolation: Interpolation,
+    /// Multiple scattering.
+    pub scattering: bool,
+    /// Ordinates: 8, 32 or 128.
+    pub directions: usize,
+    /// Diffusion per channel, paper model.
+    pub sigma_s: [f32; 3],
+    /// calibrated or literal, paper model.
+    pub opacity_scale: OpacityScale,
+    /// Iterations per layer, paper model.
+    pub iterations: usize,
+    /// Time budget per step in milliseconds instead.
+    pub budget_ms: Option<f64>,
+    /// Largest certified error of the light, relative to the brightest light.
+    pub tolerance: f32,
+    /// Start each solve from the previous step's light.
+    pub warm: bool,
+}
+
+impl Default for SolverKeys {
+    fn default() -> Self {
+        SolverKeys {
+            model: Model::Physical,
+            resolution: 0.5,
+            direct_resolution: 1.0,
+            interpolation: Interpolation::Bilinear,
+            scattering: true,
+            directions: 32,
+            sigma_s: [1.0; 3],
+            opacity_scale: OpacityScale::Calibrated,
+            iterations: 5,
+            budget_ms: None,
+            tolerance: 1e-3,
+            warm: true,
+        }
+    }
+}
+
+/// `light.model`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Model {
+    /// Short characteristics and discrete ordinates.
+    Physical,
+    /// Convection and diffusion as Zhang & Ma published them.
+    Paper,
+}
+
+/// `light.interpolation`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Interpolation {
+    /// The certified one: errors never grow.
+    Bilinear,
+    /// Catmull–Rom clamped to the four nearest values: sharper shadows.
+    Cubic,
+}
+
+/// `light.opacity_scale`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OpacityScale {
+    /// Optical depth per voxel as the medium has it.
+    Calibrated,
+    /// Opacity as the paper has it: about twice the extinction.
+    Literal,
+}
+
+/// `[[cameras]]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraKeys {
+    /// Name, for `{camera}` in output paths.
+    pub name: String,
+    /// Degrees about the up axis.
+    pub azimuth: f64,
+    /// Degrees above the horizon.
+    pub elevation: f64,
+    /// Magnification of the framed volume.
+    pub zoom: f64,
+    /// Vertical field of view in degrees.
+    pub fov: f64,
+    /// Eye; the volume is framed when absent.
+    pub position: Option<[f64; 3]>,
+    /// Looked-at point; the volume's centre when absent.
+    pub target: Option<[f64; 3]>,
+    /// Up axis.
+    pub up: [f64; 3],
+    /// Degrees of azimuth added per step.
+    pub orbit: f64,
+    /// Diameter of the aperture, world length (path tracing).
+    pub aperture: f64,
+    /// Distance in focus, world length (path tracing).
+    pub focus: Option<f64>,
+}
+
+impl Default for CameraKeys {
+    fn default() -> Self {
+        CameraKeys {
+            name: "main".into(),
+            azimuth: 30.0,
+            elevation: 20.0,
+            zoom: 1.0,
+            fov: 35.0,
+            position: None,
+            target: None,
+            up: [0.0, 0.0, 1.0],
+            orbit: 0.0,
+            aperture: 0.0,
+            focus: None,
+        }
+    }
+}
+
+/// `[render]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderKeys {
+    /// raycast; pathtrace, isosurface and slices are to come.
+    pub kind: RenderKind,
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+    /// Sampling distance in data voxels.
+    pub step: f32,
+    /// Samples per pixel (path tracing).
+    pub samples: usize,
+    /// none or phong.
+    pub shading: Shading,
+    /// Phong: light that reaches every surface.
+    pub ambient: f32,
+    /// Phong: light by Lambert's cosine.
+    pub diffuse: f32,
+    /// Phong: strength of the highlight.
+    pub specular: f32,
+    /// Phong: exponent of the highlight.
+    pub shininess: f32,
+    /// Colour behind the volume, scene-linear.
+    pub background: [f32; 3],
+    /// Factor on radiance before the tone map.
+    pub exposure: f32,
+    /// srgb, exposure or none.
+    pub tonemap: Tonemap,
+    /// Drawn on PNG and MP4: time, colorbar, axes.
+    pub overlay: Vec<Overlay>,
+}
+
+impl Default for RenderKeys {
+    fn default() -> Self {
+        RenderKeys {
+            kind: RenderKind::Raycast,
+            size: [1280, 720],
+            step: 0.5,
+            samples: 64,
+            shading: Shading::None,
+            ambient: 0.3,
+            diffuse: 0.7,
+            specular: 0.2,
+            shininess: 20.0,
+            background: [0.0; 3],
+            exposure: 1.0,
+            tonemap: Tonemap::Srgb,
+            overlay: vec![],
+        }
+    }
+}
+
+/// `render.kind`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RenderKind {
+    /// Ray casting lit by the light volume.
+    Raycast,
+    /// Stochastic path tracing.
+    Pathtrace,
+    /// Isosurface layers.
+    Isosurface,
+    /// Half-angle slices.
+    Slices,
+}
+
+/// `render.shading`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shading {
+    /// The phase function alone.
+    None,
+    /// Phong by gradient, gated by its magnitude.
+    Phong,
+}
+
+/// `render.tonemap`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Tonemap {
+    /// Clipped at 1, sRGB transfer curve.
+    Srgb,
+    /// 1 − e^(−L·exposure), then the sRGB curve.
+    Exposure,
+    /// Clipped at 1, linear.
+    None,
+}
+
+/// `render.overlay`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Overlay {
+    /// Step and physical time.
+    Time,
+    /// The transfer function's colours with its range.
+    Colorbar,
+    /// A triad of the world axes.
+    Axes,
+}
+
+/// `[movie]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MovieKeys {
+    /// Frames per second.
+    pub fps: f64,
+    /// Constant quality, 0 (best) to 51.
+    pub quality: u8,
+}
+
+impl Default for MovieKeys {
+    fn default() -> Self {
+        MovieKeys { fps: 24.0, quality: 23 }
+    }
+}

@@ -1,0 +1,1 @@
+//! One timestep: classify, light, render.
