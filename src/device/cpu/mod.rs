@@ -12,7 +12,8 @@ mod compose;
 pub mod march;
 pub mod simd;
 mod source;
-pub mod sweep;
+pub(crate) mod sweep;
+mod sweep_cubic;
 mod transport;
 
 /// The CPU.
