@@ -236,13 +236,14 @@ fn shadow_of_a_sphere() {
     let rho = solve(&cpu, &grid, Vec3::NEG_Z, false, 32, &sigma);
     for i in 0..n {
         // The chord's mean over the voxel's footprint: the chord itself is not smooth at the rim.
-        let chord: f64 = (0..256)
+        let chord = (0..256)
             .map(|s| {
                 let o = [s % 16, s / 16].map(|v| (v as f64 + 0.5) / 16.0);
                 let b2 = (i as f64 + o[0] - centre).powi(2) + o[1].powi(2);
-                2.0 * (radius * radius - b2).max(0.0).sqrt() / 256.0
+                2.0 * (radius * radius - b2).max(0.0).sqrt() / 256.0f64
             })
-            .sum();
+            .sum::<f64>();
+        let got = f64::from(rho[grid.index([i, 48, 0])]);
         let exact = (-sigma_t * chord).exp();
         assert!((got - exact).abs() < 2e-3, "at {i}: {got} against {exact}");
     }
