@@ -193,7 +193,12 @@ pub enum Weight {
     },
 }
 
-/// Phong shading by the gradient of extinction, gated by its magnitude (Zhang & Ma (24), GPU Gems 39 (4)).
+/// Blinn–Phong shading by the gradient of extinction, gated by its magnitude (Zhang & Ma (24), GPU Gems 39 (2), (4)).
+///
+/// In-scattered radiance is multiplied by `1 + s·(ambient + diffuse·max(0, n·l) + specular·max(0, n·h)^shininess − 1)`,
+/// where ∇σ_t comes from central differences one value apart (positions clamped to the outermost values; holes count 0),
+/// `n = −∇σ_t/|∇σ_t|`, h halves the angle between l and the way to the eye, and `s = |∇σ_t|·Δ/(|∇σ_t|·Δ + σ_t)` with Δ the
+/// mean spacing: no shading where the gradient vanishes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Phong {
     /// Towards the light, unit; the first light's.
@@ -208,8 +213,15 @@ pub struct Phong {
     pub shininess: f32,
 }
 
-/// Ray casting through data lit by light volumes: `L = ∫ T σ_t [ω ΣTerms + j/σ_t] ds`, samples at multiples of `step`
-/// from the entry into the volume's box, opacity of a sample `1 − e^(−σ_t step)`.
+/// Ray casting through data lit by light volumes: `L = ∫ T σ_t [ω ΣTerms + j/σ_t] ds`.
+///
+/// - A ray is cut into intervals `[n·step, min((n+1)·step, length)]` from where it enters the volume's box (or from the eye
+///   inside it), and sampled in the middle of each, so that a homogeneous medium has its exact optical depth at any step.
+/// - A sample of length `ds` has opacity `α = 1 − e^(−σ_t ds)`; it adds `T·(α·ω·max(0, Σ weight·value) + j·α/σ_t)`, the last
+///   factor being `ds` where σ_t = 0.
+/// - Data and terms are trilinear between values and clamped in the rim of half a value.
+/// - Skipping empty bricks never moves a sample: the picture is the same to the bit with and without it.
+/// - A ray ends when its transmittance falls below [`March::OPAQUE`].
 pub struct March<'a> {
     /// The data grid.
     pub grid: &'a Grid,
@@ -219,7 +231,8 @@ pub struct March<'a> {
     pub table: &'a Table,
     /// Bricks of the data grid for empty-space skipping.
     pub bricks: BrickLayout,
-    /// Largest extinction or emission in each brick with a halo of one value; 0 where nothing can be seen.
+    /// Largest extinction or emission in each brick with a halo of one value; 0 where nothing can be seen. Empty: no
+    /// brick is skipped.
     pub majorant: &'a [f32],
     /// Lights; may be empty (emission only).
     pub terms: &'a [Term<'a>],
@@ -227,8 +240,14 @@ pub struct March<'a> {
     pub phong: Option<Phong>,
     /// The camera.
     pub camera: &'a Camera,
-    /// World length between samples.
+    /// World length between samples; at least a millionth of the box's diagonal is taken.
     pub step: f32,
+}
+
+impl March<'_> {
+    /// Transmittance below which a ray ends: what lies behind can add at most this fraction of its radiance, less than
+    /// a twentieth of a level of an 8-bit picture.
+    pub const OPAQUE: f32 = 1e-4;
 }
 
 /// Where kernels run.
