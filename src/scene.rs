@@ -336,7 +336,7 @@ pub struct RenderKeys {
     pub shininess: f32,
     /// Colour behind the volume, scene-linear.
     pub background: [f32; 3],
-    /// Factor on radiance before the tone map.
+    /// Factor on radiance before the tone map; its divisor in `tonemap = "exposure"`.
     pub exposure: f32,
     /// srgb, exposure or none.
     pub tonemap: Tonemap,
@@ -394,7 +394,7 @@ pub enum Shading {
 pub enum Tonemap {
     /// Clipped at 1, sRGB transfer curve.
     Srgb,
-    /// 1 − e^(−L·exposure), then the sRGB curve.
+    /// 1 − e^(−L/exposure), then the sRGB curve.
     Exposure,
     /// Clipped at 1, linear.
     None,

@@ -1,11 +1,31 @@
 //! Sinks: where lit frames, illuminated volumes and the ledger go. A format is one file here and one `match` arm.
+//!
+//! | `--out` | sink | what it takes |
+//! | --- | --- | --- |
+//! | `frames/frame_{step:06}.png` | 8-bit pictures | frames, with background, exposure, tone map, overlay |
+//! | `frames/frame_{step:06}.exr` | scene-linear pictures | frames as rendered |
+//!
+//! Folders are created. A file appears under its final name only when it is whole: what takes one step is written beside
+//! it and renamed; what takes all steps grows under a name with `.partial` in it until [`Sink::finish`].
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::error::Result;
-use crate::frame::Frame;
+use image::RgbImage;
+
+use crate::error::{Error, Result};
+use crate::frame::{Display, Frame};
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
+use crate::scene::{Overlay, Scene};
+
+pub mod exr;
+mod png;
+mod template;
+mod whole;
+
+use template::Template;
+pub(crate) use whole::write_whole;
 
 /// The light of one step: fluence per colour channel on the light grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,4 +86,123 @@ pub trait Sink: Send {
     fn wants_frames(&self) -> bool {
         true
     }
+
+    /// The files that hold a step of their own, for resuming: a step whose files all exist need not be written again.
+    /// Empty for sinks that put all steps into one file.
+    fn paths(&self, step: u64) -> Vec<PathBuf> {
+        let _ = step;
+        vec![]
+    }
+}
+
+/// What sinks need to know before the first step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SinkOptions {
+    /// Names of the cameras.
+    pub cameras: Vec<String>,
+    /// Steps that will come; 0 when that is not known beforehand.
+    pub steps: usize,
+    /// Frames per second of movies.
+    pub fps: f64,
+    /// Constant quality of movies, 0 (best) to 51.
+    pub quality: u8,
+    /// Background, exposure and tone map of 8-bit pictures.
+    pub display: Display,
+    /// What is drawn on 8-bit pictures.
+    pub overlay: Vec<Overlay>,
+    /// Colours of the colour bar from 0 to 1 of the range, sRGB-encoded in 0..1 as colour maps are published.
+    pub colors: [[f32; 3]; 256],
+    /// Name of the field, over the colour bar; may be empty.
+    pub field: String,
+    /// Unit of the field; may be empty.
+    pub units: String,
+    /// Unit of physical time; may be empty.
+    pub time_units: String,
+    /// Name and version of the program, for files that can hold them.
+    pub software: String,
+}
+
+impl Default for SinkOptions {
+    fn default() -> Self {
+        SinkOptions::from(&Scene::default())
+    }
+}
+
+impl From<&Scene> for SinkOptions {
+    /// What a scene says. Steps, field, units and the colours of the bar (a grey ramp) are for the caller to fill in.
+    fn from(scene: &Scene) -> Self {
+        let cameras = scene.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+        SinkOptions {
+            cameras: if cameras.is_empty() { vec!["main".into()] } else { cameras },
+            steps: 0,
+            fps: scene.movie.fps,
+            quality: scene.movie.quality,
+            display: Display::from(&scene.render),
+            overlay: scene.render.overlay.clone(),
+            colors: std::array::from_fn(|i| [i as f32 / 255.0; 3]),
+            field: scene.field.name.clone().unwrap_or_default(),
+            units: String::new(),
+            time_units: String::new(),
+            software: concat!("gloaming ", env!("CARGO_PKG_VERSION")).into(),
+        }
+    }
+}
+
+impl SinkOptions {
+    /// A view as people see it: background, exposure, tone map, overlay.
+    pub fn picture(&self, output: &Output, view: &View) -> RgbImage {
+        let _ = output;
+        self.display.picture(&view.frame)
+    }
+}
+
+const KNOWN: &str = ".png, .exr";
+
+/// Opens the sink for an output path, by its extension. See the table of this [module](self).
+///
+/// Steps and cameras that would overwrite each other are errors that name the place missing in the path, and a folder
+/// in which no file can be made is one now rather than after the first step.
+pub fn open(target: &str, options: &SinkOptions) -> Result<Box<dyn Sink>> {
+    let extension = Path::new(target).extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let template = Template::parse(target)?;
+    let options = options.clone();
+    match extension.as_str() {
+        "png" => {
+            one_file_per_step(&template, &options)?;
+            one_file_per_camera(&template, &options)?;
+            whole::writable_folder(&template.folder())?;
+            Ok(Box::new(png::Png::new(template, options)))
+        }
+        "exr" => {
+            one_file_per_step(&template, &options)?;
+            one_file_per_camera(&template, &options)?;
+            whole::writable_folder(&template.folder())?;
+            Ok(Box::new(exr::Exr::new(template, options)))
+        }
+        "" => Err(Error::format(target, "no extension, which picks the format", format!("one of {KNOWN}"))),
+        other => Err(Error::format(target, format!("unknown output format `.{other}`"), format!("one of {KNOWN}"))),
+    }
+}
+
+fn one_file_per_step(template: &Template, options: &SinkOptions) -> Result<()> {
+    if template.has_step() || options.steps == 1 {
+        return Ok(());
+    }
+    let found = match options.steps {
+        0 => "every step would overwrite the one before".to_string(),
+        n => format!("{n} steps would overwrite one another"),
+    };
+    Err(Error::format(template.text(), found, format!("--out {}", template.with("_{step:06}"))))
+}
+
+fn one_file_per_camera(template: &Template, options: &SinkOptions) -> Result<()> {
+    let names = &options.cameras;
+    if let Some(twice) = names.iter().enumerate().find_map(|(i, name)| names[..i].contains(name).then_some(name)) {
+        return Err(Error::scene("cameras.name", format!("`{twice}` is the name of two cameras: names must differ")));
+    }
+    if template.has_camera() || names.len() <= 1 {
+        return Ok(());
+    }
+    let found = format!("{} cameras ({}) would overwrite one another", names.len(), names.join(", "));
+    Err(Error::format(template.text(), found, format!("--out {}", template.with("_{camera}"))))
 }
