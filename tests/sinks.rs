@@ -176,6 +176,20 @@ fn a_full_disk_leaves_nothing_half_written() {
             assert!(message.contains("f_2."), "{message}");
             let _ = sink.finish();
         }
+        // A movie whose first frames fit and whose next does not: what fits is kept, in fragments.
+        let noise = |n: u32| Frame {
+            size: [320, 240],
+            pixels: (0..320 * 240u32).map(|i| [(i.wrapping_mul(2654435761 + n) >> 24) as f32 / 255.0; 4]).collect(),
+        };
+        for (name, fit) in [("none.mp4", 0), ("some.mp4", 4)] {
+            let mut sink = open(folder, name, &options(&["main"], 8));
+            for step in 0..fit {
+                sink.write(&output(step, None, vec![view("main", Frame::new([320, 240]))])).unwrap();
+            }
+            let failed = (0..4).find_map(|n| sink.write(&output(fit, None, vec![view("main", noise(n))])).err());
+            assert!(failed.expect("a full disk").to_string().contains(".partial.mp4"));
+            assert_eq!(sink.finish().is_ok(), fit > 0);
+        }
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -187,5 +201,13 @@ fn a_full_disk_leaves_nothing_half_written() {
         .output()
         .unwrap();
     assert!(run.status.success(), "{}{}", String::from_utf8_lossy(&run.stdout), String::from_utf8_lossy(&run.stderr));
-    assert_eq!(files(folder.path()), ["f_1.exr", "f_1.png"]);
+    assert_eq!(files(folder.path()), ["f_1.exr", "f_1.png", "some.mp4"]);
+    // Whole boxes to the last byte.
+    let movie = std::fs::read(folder.path().join("some.mp4")).unwrap();
+    let (mut at, mut fragments) = (0, 0);
+    while at < movie.len() {
+        fragments += usize::from(&movie[at + 4..at + 8] == b"mdat");
+        at += u32::from_be_bytes(movie[at..at + 4].try_into().unwrap()) as usize;
+    }
+    assert_eq!((at, fragments), (movie.len(), 2));
 }

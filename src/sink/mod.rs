@@ -2,6 +2,7 @@
 //!
 //! | `--out` | sink | what it takes |
 //! | --- | --- | --- |
+//! | `movie.mp4` | one movie per camera | frames, with background, exposure, tone map, overlay |
 //! | `frames/frame_{step:06}.png` | 8-bit pictures | frames, with background, exposure, tone map, overlay |
 //! | `frames/frame_{step:06}.exr` | scene-linear pictures | frames as rendered |
 //!
@@ -20,9 +21,11 @@ use crate::ledger::LedgerRow;
 use crate::scene::{Overlay, Scene};
 
 pub mod exr;
+mod mp4;
 mod png;
 mod template;
 mod whole;
+mod yuv;
 
 use template::Template;
 pub(crate) use whole::write_whole;
@@ -156,7 +159,7 @@ impl SinkOptions {
     }
 }
 
-const KNOWN: &str = ".png, .exr";
+const KNOWN: &str = ".mp4, .png, .exr";
 
 /// Opens the sink for an output path, by its extension. See the table of this [module](self).
 ///
@@ -179,6 +182,12 @@ pub fn open(target: &str, options: &SinkOptions) -> Result<Box<dyn Sink>> {
             whole::writable_folder(&template.folder())?;
             Ok(Box::new(exr::Exr::new(template, options)))
         }
+        "mp4" => {
+            one_file_for_all_steps(&template)?;
+            one_file_per_camera(&template, &options)?;
+            whole::writable_folder(&template.folder())?;
+            Ok(Box::new(mp4::Mp4::new(template, options)?))
+        }
         "" => Err(Error::format(target, "no extension, which picks the format", format!("one of {KNOWN}"))),
         other => Err(Error::format(target, format!("unknown output format `.{other}`"), format!("one of {KNOWN}"))),
     }
@@ -193,6 +202,14 @@ fn one_file_per_step(template: &Template, options: &SinkOptions) -> Result<()> {
         n => format!("{n} steps would overwrite one another"),
     };
     Err(Error::format(template.text(), found, format!("--out {}", template.with("_{step:06}"))))
+}
+
+fn one_file_for_all_steps(template: &Template) -> Result<()> {
+    if !template.has_step() {
+        return Ok(());
+    }
+    let remedy = format!("--out {}", template.without_step().display());
+    Err(Error::format(template.text(), "this format takes all steps into one file", remedy))
 }
 
 fn one_file_per_camera(template: &Template, options: &SinkOptions) -> Result<()> {
