@@ -1,6 +1,11 @@
 //! Light sources.
 
-use glam::Vec3;
+use std::f64::consts::TAU;
+
+use glam::{DVec3, Vec3};
+
+use crate::error::{Error, Result};
+use crate::scene::{LightKeys, LightKind, Scene};
 
 /// A light source in world space.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,4 +22,128 @@ pub enum Light {
         /// Radiance per channel.
         radiance: [f32; 3],
     },
+}
+
+/// The light sources of a scene, in order.
+///
+/// Without `[[lights]]` there are three that make a first picture look good with the default camera: a key light from its
+/// upper left, a weaker fill from its right, and a dim environment. A distant light with softness becomes
+/// seven of equal share, spread over the solid angle of its source.
+///
+/// # Errors
+/// [`Error::Unsupported`] for kinds that this version does not have.
+pub fn resolve(scene: &Scene) -> Result<Vec<Light>> {
+    if scene.lights.is_empty() {
+        return Ok(first_picture());
+    }
+    let mut lights = Vec::new();
+    for keys in &scene.lights {
+        let strength = keys.color.map(|c| c * keys.intensity);
+        match keys.kind {
+            LightKind::Distant => lights.extend(distant(keys, strength)),
+            LightKind::Environment => lights.push(Light::Environment { radiance: strength }),
+            LightKind::Point | LightKind::Cone => {
+                return Err(Error::Unsupported(
+                    "point and cone lights: this version has \"distant\" and \"environment\" lights".into(),
+                ));
+            }
+        }
+    }
+    Ok(lights)
+}
+
+/// Key, fill and environment round the default camera, which looks from azimuth 30° and elevation 20°.
+fn first_picture() -> Vec<Light> {
+    let distant =
+        |direction: [f32; 3], irradiance| Light::Distant { direction: Vec3::from(direction).normalize(), irradiance };
+    vec![
+        distant([-0.9, 0.4, -0.8], [7.0, 6.7, 6.3]),
+        distant([-0.3, -0.9, -0.25], [1.2, 1.35, 1.6]),
+        Light::Environment { radiance: [0.12, 0.13, 0.15] },
+    ]
+}
+
+/// Directions of a soft light: one in the middle and six round it, all standing for equal parts of the cap.
+const DIRECTIONS: usize = 7;
+
+fn distant(keys: &LightKeys, irradiance: [f32; 3]) -> Vec<Light> {
+    let axis = DVec3::from(keys.direction).normalize();
+    let light =
+        |direction: DVec3, irradiance| Light::Distant { direction: direction.as_vec3().normalize(), irradiance };
+    if keys.softness == 0.0 {
+        return vec![light(axis, irradiance)];
+    }
+    let share = irradiance.map(|e| e / DIRECTIONS as f32);
+    let (side, other) = axis.any_orthonormal_pair();
+    // The mean cosine over a cap of half angle θ is (1 + cos θ)/2: seven directions share it when the ring has this one.
+    let count = DIRECTIONS as f64;
+    let cos = 1.0 - (1.0 - keys.softness.to_radians().cos()) * count / (2.0 * (count - 1.0));
+    let sin = (1.0 - cos * cos).sqrt();
+    let ring = (1..DIRECTIONS).map(|i| {
+        let angle = TAU * i as f64 / (DIRECTIONS - 1) as f64;
+        light(cos * axis + sin * (angle.cos() * side + angle.sin() * other), share)
+    });
+    std::iter::once(light(axis, share)).chain(ring).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(text: &str) -> Scene {
+        Scene::parse(text, "test", &[]).unwrap()
+    }
+
+    #[test]
+    fn a_light_is_its_colour_times_its_intensity_along_its_unit_direction() {
+        let lights = resolve(&scene(
+            "[[lights]]\ndirection = [0, 3, -4]\ncolor = [1, 0.5, 0]\nintensity = 2\n[[lights]]\nkind = \"environment\"\nintensity = 0.5",
+        ));
+        let expected = [
+            Light::Distant { direction: Vec3::new(0.0, 0.6, -0.8), irradiance: [2.0, 1.0, 0.0] },
+            Light::Environment { radiance: [0.5; 3] },
+        ];
+        assert_eq!(lights.unwrap(), expected);
+    }
+
+    #[test]
+    fn a_soft_light_keeps_its_irradiance_and_stays_within_its_angle() {
+        for softness in [0.5f64, 5.0, 40.0] {
+            let text = format!("[[lights]]\ndirection = [1, 2, -3]\nintensity = 3\nsoftness = {softness}");
+            let lights = resolve(&scene(&text)).unwrap();
+            assert_eq!(lights.len(), 7);
+            let axis = Vec3::new(1.0, 2.0, -3.0).normalize();
+            let (mut total, mut mean) = (0.0, Vec3::ZERO);
+            for light in &lights {
+                let Light::Distant { direction, irradiance } = light else { panic!("{light:?}") };
+                assert!((direction.length() - 1.0).abs() < 1e-6);
+                assert!(f64::from(direction.angle_between(axis)) <= softness.to_radians());
+                total += irradiance[0];
+                mean += *direction / 7.0;
+            }
+            assert!((total - 3.0).abs() < 1e-5);
+            assert!(mean.normalize().dot(axis) > 1.0 - 1e-6, "symmetric about the axis");
+            // Over a cap of half angle θ the mean of the cosine is (1 + cos θ)/2.
+            let exact = 0.5 * (1.0 + softness.to_radians().cos());
+            assert!((f64::from(mean.dot(axis)) - exact).abs() < 1e-6, "{} {exact}", mean.dot(axis));
+        }
+    }
+
+    #[test]
+    fn without_lights_a_key_a_weaker_fill_and_a_dim_environment_are_set() {
+        let lights = resolve(&Scene::default()).unwrap();
+        let [
+            Light::Distant { direction, irradiance: key },
+            Light::Distant { irradiance: fill, .. },
+            Light::Environment { radiance },
+        ] = lights[..]
+        else {
+            panic!("{lights:?}")
+        };
+        assert!(direction.z < 0.0, "the key light travels downwards");
+        let eye = Vec3::new(30f32.to_radians().cos(), 30f32.to_radians().sin(), 0.0);
+        assert!(direction.dot(eye) < 0.0, "the key light comes from the camera's side");
+        assert!(direction.dot(Vec3::Z.cross(eye)) > 0.0, "and from its left");
+        assert!(key[1] > 3.0 * fill[1] && fill[1] > radiance[1]);
+    }
 }

@@ -1,6 +1,15 @@
 //! The scene file: what to show, lit how, seen from where. Every key is optional.
+//!
+//! [`Scene::load`] reads TOML and overrides, and refuses what it does not know; [`Scene::validate`] refuses what cannot be
+//! done. Both name the key, the line where there is one, and the values that are allowed.
 
 use serde::{Deserialize, Serialize};
+
+mod allowed;
+mod load;
+mod validate;
+
+pub(crate) use allowed::nearest;
 
 /// A whole scene file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
@@ -236,6 +245,24 @@ impl Default for SolverKeys {
     }
 }
 
+impl SolverKeys {
+    /// Size of the light grid that a resolution key asks for, over data of size `data`, along x, y, z.
+    ///
+    /// A value up to 1 is light voxels per data voxel; an integer from 2 on is the size along the longest axis. The data's
+    /// aspect is kept, rounded to whole voxels, and every axis has at least one.
+    ///
+    /// ```
+    /// use gloaming::scene::SolverKeys;
+    /// assert_eq!(SolverKeys::grid_size(0.5, [128, 64, 3]), [64, 32, 2]);
+    /// assert_eq!(SolverKeys::grid_size(96.0, [128, 64, 3]), [96, 48, 2]);
+    /// ```
+    pub fn grid_size(value: f64, data: [usize; 3]) -> [usize; 3] {
+        let longest = data.into_iter().max().unwrap_or(1).max(1) as f64;
+        let factor = if value > 1.0 { value / longest } else { value };
+        data.map(|n| (n as f64 * factor).round().max(1.0) as usize)
+    }
+}
+
 /// `light.model`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -272,7 +299,7 @@ pub enum OpacityScale {
 pub struct CameraKeys {
     /// Name, for `{camera}` in output paths.
     pub name: String,
-    /// Degrees about the up axis.
+    /// Degrees about the up axis, counterclockwise seen from above; with `up` = +z, 0 looks from +x and 90 from +y.
     pub azimuth: f64,
     /// Degrees above the horizon.
     pub elevation: f64,

@@ -1,0 +1,95 @@
+//! The keys of the scene file and the values they take, in words: the one place that messages quote.
+
+/// Every key as `(dotted name, allowed values)`; keys of `[[lights]]` and `[[cameras]]` are written without their index.
+pub(super) const KEYS: &[(&str, &str)] = &[
+    ("field.name", "the name of a dataset or field, as `gloaming info` lists it"),
+    ("field.range", "\"series\", \"step\", or [lo, hi] with lo < hi"),
+    ("field.component", "\"magnitude\", \"x\", \"y\", \"z\", or an index from 0"),
+    ("transfer.colormap", "the name of a colour map"),
+    ("transfer.points", "[[value, red, green, blue], …], all 0 to 1, values in ascending order"),
+    ("transfer.opacity", "[[value, opacity], …], both 0 to 1, values in ascending order"),
+    ("transfer.reference", "a length in voxels above 0"),
+    ("transfer.extinction", "an extinction per world length, 0 or more"),
+    ("transfer.albedo", "a number or [red, green, blue], each 0 to 1"),
+    ("transfer.anisotropy", "a number between -1 and 1, both excluded"),
+    ("transfer.emission", "[[value, radiance], …], values 0 to 1 in ascending order, radiance 0 or more"),
+    ("lights.kind", "\"distant\" or \"environment\" (\"point\" and \"cone\" are to come)"),
+    ("lights.direction", "[x, y, z], finite and not all 0"),
+    ("lights.position", "[x, y, z], finite"),
+    ("lights.radius", "a world length, 0 or more"),
+    ("lights.angle", "degrees above 0, at most 90"),
+    ("lights.color", "[red, green, blue], each finite and 0 or more"),
+    ("lights.intensity", "a finite number, 0 or more"),
+    ("lights.softness", "degrees from 0 to 90"),
+    ("lights.image", "the path of an equirectangular image"),
+    ("light.model", "\"physical\" or \"paper\""),
+    ("light.resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
+    ("light.direct_resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
+    ("light.interpolation", "\"bilinear\" or \"cubic\""),
+    ("light.scattering", "true or false"),
+    ("light.directions", "8, 32 or 128"),
+    ("light.sigma_s", "[red, green, blue], each finite and 0 or more"),
+    ("light.opacity_scale", "\"calibrated\" or \"literal\""),
+    ("light.iterations", "an integer from 1 to 10000"),
+    ("light.budget_ms", "milliseconds above 0"),
+    ("light.tolerance", "0 (bitwise the cold result), or 1e-6 to 1: the light is held in 32-bit floats"),
+    ("light.warm", "true or false"),
+    ("cameras.name", "a name of its own for each camera, without / or \\"),
+    ("cameras.azimuth", "degrees, finite"),
+    ("cameras.elevation", "degrees from -90 to 90"),
+    ("cameras.zoom", "a factor above 0"),
+    ("cameras.fov", "degrees above 0 and below 180"),
+    ("cameras.position", "[x, y, z], finite, away from the target"),
+    ("cameras.target", "[x, y, z], finite, away from the position"),
+    ("cameras.up", "[x, y, z], finite, not all 0 and not along the view"),
+    ("cameras.orbit", "degrees per step, finite"),
+    ("cameras.aperture", "a world length, 0 or more"),
+    ("cameras.focus", "a world length above 0"),
+    ("render.kind", "\"raycast\" (\"pathtrace\", \"isosurface\" and \"slices\" are to come)"),
+    ("render.size", "[width, height], integers from 1 to 16384"),
+    ("render.step", "a length in voxels above 0, at most 16"),
+    ("render.samples", "an integer, 1 or more"),
+    ("render.shading", "\"none\" or \"phong\""),
+    ("render.ambient", "a finite number, 0 or more"),
+    ("render.diffuse", "a finite number, 0 or more"),
+    ("render.specular", "a finite number, 0 or more"),
+    ("render.shininess", "a finite number above 0"),
+    ("render.background", "[red, green, blue], each finite and 0 or more"),
+    ("render.exposure", "a finite factor above 0"),
+    ("render.tonemap", "\"srgb\", \"exposure\" or \"none\""),
+    ("render.overlay", "a list of \"time\", \"colorbar\" and \"axes\""),
+    ("movie.fps", "frames per second above 0, at most 1000"),
+    ("movie.quality", "an integer from 0 (best) to 51"),
+];
+
+/// The tables that are lists of tables.
+pub(super) const LISTS: [&str; 2] = ["lights", "cameras"];
+
+/// What a key may be; `lights.2.color` is looked up as `lights.color`.
+pub(super) fn allowed(key: &str) -> &'static str {
+    let plain = plain(key);
+    KEYS.iter().find(|(name, _)| *name == plain).map_or("another value", |(_, words)| words)
+}
+
+/// Names of the tables.
+pub(super) fn tables() -> Vec<&'static str> {
+    let mut tables: Vec<_> = KEYS.iter().filter_map(|(name, _)| name.split_once('.')).map(|(table, _)| table).collect();
+    tables.dedup();
+    tables
+}
+
+/// Names of the keys in a table.
+pub(super) fn keys_of(table: &str) -> Vec<&'static str> {
+    KEYS.iter().filter_map(|(name, _)| name.split_once('.')).filter(|(t, _)| *t == table).map(|(_, key)| key).collect()
+}
+
+/// The known name nearest to a wrong one.
+pub(crate) fn nearest<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let wrong = wrong.to_lowercase();
+    known.into_iter().max_by(|a, b| strsim::jaro_winkler(&wrong, a).total_cmp(&strsim::jaro_winkler(&wrong, b)))
+}
+
+/// A dotted key without the indices of lists.
+fn plain(key: &str) -> String {
+    key.split('.').filter(|part| part.parse::<usize>().is_err()).collect::<Vec<_>>().join(".")
+}

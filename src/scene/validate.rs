@@ -1,0 +1,183 @@
+//! What a scene may say: ranges of values, and combinations that this version does.
+
+use std::fmt::Debug;
+
+use super::allowed::allowed;
+use super::{
+    CameraKeys, ComponentKey, FieldKeys, LightKeys, LightKind, MovieKeys, RangeKey, RenderKeys, RenderKind, Scene,
+    SolverKeys, TransferKeys,
+};
+use crate::error::{Error, Result};
+use crate::transfer::TransferFunction;
+
+/// Smallest tolerance other than 0: about eight units in the last place of the brightest light.
+const SMALLEST_TOLERANCE: f32 = 1e-6;
+
+impl Scene {
+    /// Refuses values outside their range ([`Error::Scene`], naming the key and the range) and what this version does not
+    /// do ([`Error::Unsupported`], naming what works).
+    pub fn validate(&self) -> Result<()> {
+        field(&self.field)?;
+        transfer(&self.transfer)?;
+        self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys))?;
+        solver(&self.light)?;
+        self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys))?;
+        for (i, keys) in self.cameras.iter().enumerate() {
+            let unique = self.cameras[..i].iter().all(|other| other.name != keys.name);
+            require(unique, &format!("cameras.{i}.name"), &keys.name)?;
+        }
+        render(&self.render)?;
+        movie(&self.movie)
+    }
+}
+
+fn require(holds: bool, key: &str, value: impl Debug) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::scene(key, format!("{value:?} is not allowed; allowed: {}", allowed(key)))) }
+}
+
+fn unit(v: f32) -> bool {
+    (0.0..=1.0).contains(&v)
+}
+
+fn nonnegative(v: f32) -> bool {
+    v >= 0.0 && v.is_finite()
+}
+
+fn finite3(v: [f64; 3]) -> bool {
+    v.iter().all(|c| c.is_finite())
+}
+
+fn direction(v: [f64; 3]) -> bool {
+    finite3(v) && v.iter().any(|c| *c != 0.0)
+}
+
+fn field(keys: &FieldKeys) -> Result<()> {
+    if let RangeKey::Fixed([lo, hi]) = keys.range {
+        require(lo < hi && lo.is_finite() && hi.is_finite(), "field.range", [lo, hi])?;
+    }
+    if let ComponentKey::Name(name) = &keys.component {
+        require(matches!(name.as_str(), "magnitude" | "x" | "y" | "z"), "field.component", name)?;
+    }
+    Ok(())
+}
+
+fn ascending<const N: usize>(points: &[[f32; N]]) -> bool {
+    !points.is_empty() && points.windows(2).all(|w| w[0][0] <= w[1][0]) && points.iter().all(|p| unit(p[0]))
+}
+
+fn transfer(keys: &TransferKeys) -> Result<()> {
+    require(keys.reference > 0.0 && keys.reference.is_finite(), "transfer.reference", keys.reference)?;
+    if let Some(points) = &keys.points {
+        require(ascending(points) && points.iter().flatten().all(|v| unit(*v)), "transfer.points", points)?;
+    }
+    if let Some(points) = &keys.opacity {
+        require(ascending(points) && points.iter().flatten().all(|v| unit(*v)), "transfer.opacity", points)?;
+    }
+    if let Some(extinction) = keys.extinction {
+        require(extinction >= 0.0 && extinction.is_finite(), "transfer.extinction", extinction)?;
+        if keys.opacity.is_some() {
+            return Err(Error::scene("transfer.extinction", "it replaces transfer.opacity: give only one of the two"));
+        }
+    }
+    require(keys.albedo.rgb().into_iter().all(unit), "transfer.albedo", keys.albedo.rgb())?;
+    require(keys.anisotropy.abs() < 1.0, "transfer.anisotropy", keys.anisotropy)?;
+    if !keys.emission.is_empty() {
+        let radiance = keys.emission.iter().all(|p| nonnegative(p[1]));
+        require(ascending(&keys.emission) && radiance, "transfer.emission", &keys.emission)?;
+    }
+    TransferFunction::new(keys).map(drop)
+}
+
+fn light(i: usize, keys: &LightKeys) -> Result<()> {
+    let key = |name: &str| format!("lights.{i}.{name}");
+    if matches!(keys.kind, LightKind::Point | LightKind::Cone) {
+        let kind = if keys.kind == LightKind::Point { "point" } else { "cone" };
+        return Err(Error::Unsupported(format!(
+            "{} = \"{kind}\": this version has \"distant\" and \"environment\" lights",
+            key("kind")
+        )));
+    }
+    if let Some(image) = &keys.image {
+        return Err(Error::Unsupported(format!(
+            "{} = {image:?}: environments of this version have one colour; give `color` and `intensity` instead",
+            key("image")
+        )));
+    }
+    require(direction(keys.direction), &key("direction"), keys.direction)?;
+    require(finite3(keys.position), &key("position"), keys.position)?;
+    require(keys.radius >= 0.0 && keys.radius.is_finite(), &key("radius"), keys.radius)?;
+    require(keys.angle > 0.0 && keys.angle <= 90.0, &key("angle"), keys.angle)?;
+    require(keys.color.into_iter().all(nonnegative), &key("color"), keys.color)?;
+    require(nonnegative(keys.intensity), &key("intensity"), keys.intensity)?;
+    require((0.0..=90.0).contains(&keys.softness), &key("softness"), keys.softness)
+}
+
+fn solver(keys: &SolverKeys) -> Result<()> {
+    for (key, value) in [("light.resolution", keys.resolution), ("light.direct_resolution", keys.direct_resolution)] {
+        let fraction = value > 0.0 && value <= 1.0;
+        require(fraction || ((2.0..=4096.0).contains(&value) && value.fract() == 0.0), key, value)?;
+    }
+    require(matches!(keys.directions, 8 | 32 | 128), "light.directions", keys.directions)?;
+    require(keys.sigma_s.into_iter().all(nonnegative), "light.sigma_s", keys.sigma_s)?;
+    require((1..=10_000).contains(&keys.iterations), "light.iterations", keys.iterations)?;
+    if let Some(budget) = keys.budget_ms {
+        require(budget > 0.0 && budget.is_finite(), "light.budget_ms", budget)?;
+    }
+    let tolerance = keys.tolerance;
+    require(tolerance == 0.0 || (SMALLEST_TOLERANCE..=1.0).contains(&tolerance), "light.tolerance", tolerance)
+}
+
+fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
+    let key = |name: &str| format!("cameras.{i}.{name}");
+    require(!keys.name.is_empty() && !keys.name.contains(['/', '\\']), &key("name"), &keys.name)?;
+    require(keys.azimuth.is_finite(), &key("azimuth"), keys.azimuth)?;
+    require((-90.0..=90.0).contains(&keys.elevation), &key("elevation"), keys.elevation)?;
+    require(keys.zoom > 0.0 && keys.zoom.is_finite(), &key("zoom"), keys.zoom)?;
+    require(keys.fov > 0.0 && keys.fov < 180.0, &key("fov"), keys.fov)?;
+    require(direction(keys.up), &key("up"), keys.up)?;
+    require(keys.orbit.is_finite(), &key("orbit"), keys.orbit)?;
+    require(keys.target.is_none_or(finite3), &key("target"), keys.target)?;
+    require(keys.position.is_none_or(finite3), &key("position"), keys.position)?;
+    if let (Some(position), Some(target)) = (keys.position, keys.target) {
+        let view = glam::DVec3::from(target) - glam::DVec3::from(position);
+        require(view.length() > 0.0, &key("position"), position)?;
+        let across = view.normalize().cross(glam::DVec3::from(keys.up).normalize());
+        require(across.length() > 1e-6, &key("up"), keys.up)?;
+    }
+    require(keys.aperture >= 0.0 && keys.aperture.is_finite(), &key("aperture"), keys.aperture)?;
+    require(keys.focus.is_none_or(|f| f > 0.0 && f.is_finite()), &key("focus"), keys.focus)?;
+    if keys.aperture > 0.0 {
+        return Err(Error::Unsupported(format!(
+            "{} = {}: depth of field needs path tracing, which this version does not have; leave it 0",
+            key("aperture"),
+            keys.aperture
+        )));
+    }
+    Ok(())
+}
+
+fn render(keys: &RenderKeys) -> Result<()> {
+    let kind = match keys.kind {
+        RenderKind::Raycast => None,
+        RenderKind::Pathtrace => Some("pathtrace"),
+        RenderKind::Isosurface => Some("isosurface"),
+        RenderKind::Slices => Some("slices"),
+    };
+    if let Some(kind) = kind {
+        return Err(Error::Unsupported(format!("render.kind = \"{kind}\": this version has \"raycast\"")));
+    }
+    require(keys.size.iter().all(|n| (1..=16384).contains(n)), "render.size", keys.size)?;
+    require(keys.step > 0.0 && keys.step <= 16.0, "render.step", keys.step)?;
+    require(keys.samples > 0, "render.samples", keys.samples)?;
+    require(nonnegative(keys.ambient), "render.ambient", keys.ambient)?;
+    require(nonnegative(keys.diffuse), "render.diffuse", keys.diffuse)?;
+    require(nonnegative(keys.specular), "render.specular", keys.specular)?;
+    require(nonnegative(keys.shininess) && keys.shininess > 0.0, "render.shininess", keys.shininess)?;
+    require(keys.background.into_iter().all(nonnegative), "render.background", keys.background)?;
+    require(nonnegative(keys.exposure) && keys.exposure > 0.0, "render.exposure", keys.exposure)
+}
+
+fn movie(keys: &MovieKeys) -> Result<()> {
+    require(keys.fps > 0.0 && keys.fps <= 1000.0, "movie.fps", keys.fps)?;
+    require(keys.quality <= 51, "movie.quality", keys.quality)
+}

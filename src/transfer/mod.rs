@@ -1,0 +1,244 @@
+//! Transfer functions: from data values to optical properties.
+//!
+//! A value is normalised to 0..1 over the field's range. Opacity α per reference length Δ (in voxels of the data grid, times
+//! their mean spacing) becomes extinction by inverting Beer–Lambert's law, `σ_t = −ln(1 − α)/Δ`, so that the same medium
+//! comes out whatever the sampling distance. The single-scattering albedo is `ω = albedo · c`, c the colour of the map in
+//! scene-linear light, and emission is a curve of radiance per reference length times c.
+
+mod colormap;
+mod table;
+
+pub use colormap::names;
+pub use table::Table;
+
+use crate::error::Result;
+use crate::scene::TransferKeys;
+use colormap::Colormap;
+
+/// Opacity when the scene says nothing: nothing at the bottom of the range, half at the top.
+const DEFAULT_OPACITY: [[f32; 2]; 2] = [[0.0, 0.0], [1.0, 0.5]];
+/// Opacity 1 would be infinite extinction; beyond this, less than a millionth of the light passes a reference length.
+const LARGEST_OPACITY: f64 = 1.0 - 1e-6;
+
+/// A transfer function, independent of the range of the values and of the grid.
+#[derive(Debug, Clone)]
+pub struct TransferFunction {
+    colors: Colormap,
+    albedo: [f32; 3],
+    density: Density,
+    /// `[value, radiance per reference length]`; empty when nothing glows.
+    emission: Vec<[f32; 2]>,
+    /// Reference length in mean spacings.
+    reference: f64,
+}
+
+#[derive(Debug, Clone)]
+enum Density {
+    /// `[value, opacity per reference length]`
+    Opacity(Vec<[f32; 2]>),
+    /// Extinction per world length at value 1, linear in the value.
+    Extinction(f64),
+}
+
+impl TransferFunction {
+    /// The transfer function that a scene's `[transfer]` describes.
+    ///
+    /// Named maps are sRGB colours and are turned into linear light; `points` are linear already, since they are read as
+    /// albedos.
+    ///
+    /// # Errors
+    /// [`Error::Scene`](crate::Error::Scene) for an unknown colour map, naming the nearest and all known. Ranges of numbers
+    /// are checked by [`Scene::validate`](crate::scene::Scene::validate).
+    pub fn new(keys: &TransferKeys) -> Result<Self> {
+        let colors = match &keys.points {
+            Some(points) => Colormap::from_points(points.clone()),
+            None => Colormap::named(&keys.colormap)?,
+        };
+        let density = match keys.extinction {
+            Some(extinction) => Density::Extinction(extinction),
+            None => Density::Opacity(keys.opacity.clone().unwrap_or(DEFAULT_OPACITY.to_vec())),
+        };
+        let glows = keys.emission.iter().any(|p| p[1] > 0.0);
+        Ok(TransferFunction {
+            colors,
+            albedo: keys.albedo.rgb(),
+            density,
+            emission: if glows { keys.emission.clone() } else { vec![] },
+            reference: keys.reference,
+        })
+    }
+
+    /// The table for values in `range` on a grid with `mean_spacing` (world length, [`Grid::mean_spacing`](crate::Grid)).
+    ///
+    /// Its [`Table::ENTRIES`] entries resolve a thousandth of the range: where a curve jumps, the table climbs within one
+    /// entry, and a peak narrower than that keeps its height at the nearest entry.
+    pub fn table(&self, range: [f64; 2], mean_spacing: f64) -> Table {
+        let length = self.reference * mean_spacing;
+        let extinction = match &self.density {
+            Density::Extinction(largest) => normalised().map(|v| (v * largest) as f32).collect(),
+            Density::Opacity(points) => {
+                tabulate(points).into_iter().map(|alpha| (extinction(alpha) / length) as f32).collect()
+            }
+        };
+        let colors: Vec<[f32; 3]> = normalised().map(|v| self.colors.linear(v as f32)).collect();
+        let emission = match self.emission.is_empty() {
+            true => vec![],
+            false => (tabulate(&self.emission).into_iter().zip(&colors))
+                .map(|(radiance, c)| c.map(|c| (radiance / length) as f32 * c))
+                .collect(),
+        };
+        let albedo = colors.iter().map(|c| std::array::from_fn(|i| self.albedo[i] * c[i])).collect();
+        Table { lo: range[0] as f32, hi: range[1] as f32, extinction, albedo, emission }
+    }
+
+    /// The map's colours from value 0 to 1, sRGB in 0..1, as a colour bar shows them.
+    pub fn colors(&self) -> [[f32; 3]; 256] {
+        std::array::from_fn(|i| self.colors.srgb(i as f32 / 255.0))
+    }
+}
+
+/// Optical depth of a reference length with opacity `alpha`.
+fn extinction(alpha: f64) -> f64 {
+    -(-alpha.min(LARGEST_OPACITY)).ln_1p()
+}
+
+/// Normalised values of a table's entries.
+fn normalised() -> impl Iterator<Item = f64> {
+    (0..Table::ENTRIES).map(|i| i as f64 / (Table::ENTRIES - 1) as f64)
+}
+
+/// A piecewise linear curve at the entries of a table. Peaks between entries move to the nearest one, so that a feature
+/// narrower than an entry is not lost.
+fn tabulate(points: &[[f32; 2]]) -> Vec<f64> {
+    let mut entries: Vec<f64> = normalised().map(|v| interpolate(points, v)).collect();
+    for (i, &[at, height]) in points.iter().enumerate() {
+        let before = i.checked_sub(1).map_or(height, |i| points[i][1]);
+        let after = points.get(i + 1).map_or(height, |p| p[1]);
+        if height >= before && height >= after {
+            let entry = &mut entries[(f64::from(at) * (Table::ENTRIES - 1) as f64).round() as usize];
+            *entry = entry.max(f64::from(height));
+        }
+    }
+    entries
+}
+
+/// Linear between points, constant beyond the first and last; the later point where two share a value.
+fn interpolate(points: &[[f32; 2]], at: f64) -> f64 {
+    let after = points.partition_point(|p| f64::from(p[0]) <= at);
+    match (after.checked_sub(1).map(|i| points[i]), points.get(after)) {
+        (Some([x0, y0]), Some(&[x1, y1])) => {
+            let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(f64::from);
+            y0 + (y1 - y0) * (at - x0) / (x1 - x0)
+        }
+        (Some(p), None) => f64::from(p[1]),
+        (None, Some(p)) => f64::from(p[1]),
+        (None, None) => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use approx::assert_relative_eq;
+    use proptest::prelude::*;
+
+    fn function(change: impl FnOnce(&mut TransferKeys)) -> TransferFunction {
+        let mut keys = TransferKeys {
+            colormap: "white".into(),
+            albedo: crate::scene::NumberOrRgb::Number(1.0),
+            ..Default::default()
+        };
+        change(&mut keys);
+        TransferFunction::new(&keys).unwrap()
+    }
+
+    proptest! {
+        /// validation.md 2 and 11: opacity → extinction → opacity is the identity, and the same medium comes out whatever
+        /// the reference length, its opacity corrected by `1 − (1 − α)^n`.
+        #[test]
+        fn opacity_survives_the_way_through_extinction(alpha in 0.0f32..0.999, reference in 0.1f64..20.0, spacing in 0.01f64..50.0) {
+            let table = function(|k| { k.opacity = Some(vec![[0.0, alpha]]); k.reference = reference; }).table([0.0, 1.0], spacing);
+            let sigma = f64::from(table.extinction[517]);
+            prop_assert!((1.0 - (-sigma * reference * spacing).exp() - f64::from(alpha)).abs() < 1e-6);
+            let twice = 1.0 - (1.0 - f64::from(alpha)).powi(2);
+            let longer = function(|k| { k.opacity = Some(vec![[0.0, twice as f32]]); k.reference = 2.0 * reference; }).table([0.0, 1.0], spacing);
+            prop_assert!((f64::from(longer.extinction[517]) / sigma.max(1e-30) - 1.0).abs() < 1e-3 || sigma * reference * spacing < 1e-4);
+        }
+    }
+
+    #[test]
+    fn extinction_is_linear_in_the_value_and_ignores_the_grid() {
+        let table = function(|k| k.extinction = Some(30.0)).table([-2.0, 2.0], 7.0);
+        for i in [0, 1, 511, 1023] {
+            assert_relative_eq!(table.extinction[i], 30.0 * i as f32 / 1023.0, max_relative = 1e-6);
+        }
+        assert_eq!((table.lo, table.hi), (-2.0, 2.0));
+    }
+
+    #[test]
+    fn full_opacity_is_finite_and_black_to_a_millionth() {
+        let table = function(|k| k.opacity = Some(vec![[0.0, 1.0]])).table([0.0, 1.0], 1.0);
+        assert_relative_eq!((-table.extinction[3]).exp(), 1e-6, max_relative = 1e-3);
+    }
+
+    #[test]
+    fn the_default_opacity_halves_the_light_per_voxel_at_the_top() {
+        let table = function(|_| ()).table([0.0, 1.0], 0.25);
+        assert_eq!(table.extinction[0], 0.0);
+        assert_relative_eq!(table.extinction[1023], std::f32::consts::LN_2 / 0.25, max_relative = 1e-6);
+    }
+
+    #[test]
+    fn jumps_take_one_entry_and_narrow_peaks_keep_their_height() {
+        let step =
+            function(|k| k.opacity = Some(vec![[0.0, 0.0], [0.4, 0.0], [0.4, 0.5], [1.0, 0.5]])).table([0.0, 1.0], 1.0);
+        let rising = step.extinction.windows(2).filter(|w| w[0] != w[1]).count();
+        assert_eq!(rising, 1, "a jump takes one entry");
+        assert_eq!(step.extinction[408], 0.0);
+        assert_relative_eq!(step.extinction[410], std::f32::consts::LN_2, max_relative = 1e-6);
+
+        let peak = vec![[0.0, 0.0], [0.6003, 0.0], [0.6004, 0.5], [0.6005, 0.0], [1.0, 0.0]];
+        let peak = function(|k| k.opacity = Some(peak)).table([0.0, 1.0], 1.0);
+        assert_relative_eq!(peak.extinction[614], std::f32::consts::LN_2, max_relative = 1e-6);
+        assert_eq!(peak.extinction.iter().filter(|s| **s > 0.0).count(), 1);
+    }
+
+    #[test]
+    fn emission_is_per_reference_length_in_the_maps_colour() {
+        let red_to_blue = vec![[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 1.0]];
+        let table = function(|k| {
+            k.points = Some(red_to_blue);
+            k.emission = vec![[0.0, 6.0], [1.0, 12.0]];
+            k.reference = 2.0;
+        })
+        .table([0.0, 1.0], 1.5);
+        assert_eq!(table.emission[0], [2.0, 0.0, 0.0]);
+        assert_eq!(table.emission[1023], [0.0, 0.0, 4.0]);
+        assert!(function(|k| k.emission = vec![[0.0, 0.0], [1.0, 0.0]]).table([0.0, 1.0], 1.0).emission.is_empty());
+    }
+
+    #[test]
+    fn albedo_is_the_key_times_the_linear_colour() {
+        let gray = function(|k| {
+            k.colormap = "gray".into();
+            k.albedo = crate::scene::NumberOrRgb::Rgb([1.0, 0.5, 0.25]);
+        });
+        let table = gray.table([0.0, 1.0], 1.0);
+        assert_eq!(table.albedo[1023], [1.0, 0.5, 0.25]);
+        // The sRGB curve at 512/1023: ((v + 0.055)/1.055)^2.4.
+        let linear = ((512.0f32 / 1023.0 + 0.055) / 1.055).powf(2.4);
+        assert_relative_eq!(table.albedo[512][0], linear, max_relative = 1e-3);
+        assert_eq!(function(|_| ()).table([0.0, 1.0], 1.0).constant_albedo(), Some([1.0; 3]));
+        assert!(gray.colors()[51].iter().all(|c| (c - 0.2).abs() < 1e-3));
+    }
+
+    #[test]
+    fn an_unknown_map_names_the_nearest_and_all_known() {
+        let error =
+            TransferFunction::new(&TransferKeys { colormap: "infernal".into(), ..Default::default() }).unwrap_err();
+        let Error::Scene { key, message, .. } = &error else { panic!("{error}") };
+        assert_eq!(key, "transfer.colormap");
+        assert!(message.contains("`inferno`") && message.contains("viridis") && message.contains("turbo"), "{message}");
+    }
+}

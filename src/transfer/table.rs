@@ -1,0 +1,156 @@
+//! Tabulated transfer functions, and what can be seen in a range of values.
+
+/// A transfer function, tabulated: entry `i` of `n` stands for the normalised value `i/(n−1)`; in between it is linear, and
+/// values outside 0..1 are clamped.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Data value that maps to 0.
+    pub lo: f32,
+    /// Data value that maps to 1.
+    pub hi: f32,
+    /// Extinction σ_t per world length.
+    pub extinction: Vec<f32>,
+    /// Single-scattering albedo ω per channel.
+    pub albedo: Vec<[f32; 3]>,
+    /// Emitted radiance per world length and channel; empty when nothing glows.
+    pub emission: Vec<[f32; 3]>,
+}
+
+impl Table {
+    /// Entries of every table.
+    pub const ENTRIES: usize = 1024;
+
+    /// The normalised value of a data value, clamped to 0..1.
+    pub fn normalise(&self, value: f32) -> f32 {
+        ((value - self.lo) * self.scale()).clamp(0.0, 1.0)
+    }
+
+    /// `1/(hi − lo)`, 0 when the range is a point.
+    pub fn scale(&self) -> f32 {
+        if self.hi > self.lo { 1.0 / (self.hi - self.lo) } else { 0.0 }
+    }
+
+    /// The albedo, when it is the same for every value.
+    pub fn constant_albedo(&self) -> Option<[f32; 3]> {
+        self.albedo.iter().all(|a| *a == self.albedo[0]).then(|| self.albedo[0])
+    }
+
+    /// True when the albedo is the same in all channels for every value.
+    pub fn gray(&self) -> bool {
+        self.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2])
+    }
+
+    /// For each range of data values `[lo, hi]`, the largest extinction or emission (per world length, any channel) of any
+    /// value in it; an empty range (`lo > hi`) has 0.
+    ///
+    /// The bound holds for the table as kernels read it, linear between entries, and is 0 only where nothing can be seen.
+    /// Constant time per range.
+    pub fn majorants(&self, ranges: &[[f32; 2]]) -> Vec<f32> {
+        let last = self.extinction.len() - 1;
+        let peaks = Peaks::new((0..=last).map(|i| self.visibility(i)).collect());
+        let at = |value: f32| self.normalise(value) * last as f32;
+        let majorant = |&[lo, hi]: &[f32; 2]| match lo <= hi {
+            true => peaks.max(at(lo).floor() as usize, (at(hi).ceil() as usize).min(last)),
+            false => 0.0,
+        };
+        ranges.iter().map(majorant).collect()
+    }
+
+    /// Extinction or emission of an entry, whichever is larger.
+    fn visibility(&self, entry: usize) -> f32 {
+        let emission = self.emission.get(entry).copied().unwrap_or_default();
+        emission.into_iter().fold(self.extinction[entry], f32::max)
+    }
+}
+
+/// Maxima of runs of entries: level `l` holds the maximum of the `2^l` entries from each one on.
+struct Peaks(Vec<Vec<f32>>);
+
+impl Peaks {
+    fn new(values: Vec<f32>) -> Self {
+        let mut levels = vec![values];
+        while let Some(below) = levels.last().filter(|l| l.len() > 1) {
+            let reach = 1 << (levels.len() - 1);
+            if below.len() <= reach {
+                break;
+            }
+            levels.push(below.iter().zip(&below[reach..]).map(|(a, b)| a.max(*b)).collect());
+        }
+        Peaks(levels)
+    }
+
+    /// The largest of entries `first..=last`.
+    fn max(&self, first: usize, last: usize) -> f32 {
+        let level = (last - first + 1).ilog2() as usize;
+        self.0[level][first].max(self.0[level][last + 1 - (1 << level)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A table with gaps: about half of its entries can be seen.
+    fn table(seeds: &[u8], lo: f32, hi: f32) -> Table {
+        let entry = |seed: &u8| if *seed < 128 { 0.0 } else { f32::from(*seed) - 127.0 };
+        let extinction: Vec<f32> = seeds.iter().map(entry).collect();
+        let emission = seeds.iter().rev().map(|s| [0.0, if *s > 250 { 300.0 } else { 0.0 }, 0.0]).collect();
+        Table { lo, hi, albedo: vec![[1.0; 3]; seeds.len()], extinction, emission }
+    }
+
+    /// What a kernel reads at a data value.
+    fn seen(table: &Table, value: f32) -> f32 {
+        let x = table.normalise(value) * (table.extinction.len() - 1) as f32;
+        let i = (x as usize).min(table.extinction.len() - 2);
+        let t = x - i as f32;
+        let lerp = |a: f32, b: f32| a * (1.0 - t) + b * t;
+        let emission = lerp(table.emission[i][1], table.emission[i + 1][1]);
+        lerp(table.extinction[i], table.extinction[i + 1]).max(emission)
+    }
+
+    proptest! {
+        /// No value in a range is more visible than the range's majorant, the majorant is reached by a value or by a
+        /// neighbouring entry, and it is 0 only where nothing can be seen.
+        #[test]
+        fn majorants_bound_every_value_in_their_range(
+            seeds in prop::collection::vec(any::<u8>(), 2..40),
+            a in -0.2f32..1.2, width in 0.0f32..0.6, lo in -5.0f32..5.0, span in 0.1f32..100.0,
+        ) {
+            let table = table(&seeds, lo, lo + span);
+            let last = seeds.len() - 1;
+            let range = [lo + a * span, lo + (a + width) * span];
+            let majorant = table.majorants(&[range])[0];
+            let mut reached = 0.0f32;
+            for i in 0..=1000 {
+                let value = range[0] + (range[1] - range[0]) * (i as f32 / 1000.0);
+                if value <= range[1] {
+                    reached = reached.max(seen(&table, value));
+                    prop_assert!(seen(&table, value) <= majorant * (1.0 + 1e-6), "{value}: {majorant}");
+                }
+            }
+            let entries = |v: f32| table.normalise(v) * last as f32;
+            let (first, end) = (entries(range[0]).floor() as usize, entries(range[1]).ceil() as usize);
+            let brute = (first..=end.min(last)).map(|i| table.visibility(i)).fold(0.0, f32::max);
+            prop_assert_eq!(majorant, brute);
+            // Entries of the table differ by at least 1, so a visible majorant shows inside the range unless it only
+            // touches the visible entry's neighbour.
+            prop_assert!(majorant > 0.0 || reached == 0.0);
+        }
+    }
+
+    #[test]
+    fn ranges_that_are_empty_or_outside_are_bounded_too() {
+        let table = table(&[0, 0, 200, 0, 130], 0.0, 4.0);
+        let inf = f32::INFINITY;
+        let ranges =
+            [[inf, -inf], [0.0, 1.0], [0.0, 1.5], [2.0, 2.0], [3.0, 3.0], [9.0, 10.0], [-9.0, -8.0], [-9.0, 9.0]];
+        assert_eq!(table.majorants(&ranges), [0.0, 0.0, 73.0, 73.0, 0.0, 3.0, 0.0, 73.0]);
+    }
+
+    #[test]
+    fn a_range_of_values_that_is_a_point_reads_the_first_entry() {
+        let table = table(&[200, 0], 1.0, 1.0);
+        assert_eq!(table.majorants(&[[1.0, 1.0], [-3.0, 8.0]]), [73.0, 73.0]);
+    }
+}
