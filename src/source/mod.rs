@@ -1,12 +1,32 @@
 //! Sources: series of timesteps from files. A layout is one file here and one `match` arm.
+//!
+//! [`open`] expands what was typed to files in step order, tells the kind of file by its first bytes and asks the
+//! layout for a plan: every step's number, time and place in the files, from metadata alone. A step is opened, and its
+//! values read, only when it is asked for.
+//!
+//! Steps are numbered by the number in the file's name, the number of the group or dataset, or else from 0. With
+//! `--time-step DT` the time of step `n` is `n·DT`, whatever the file says.
 
-use std::path::PathBuf;
+mod axes;
+mod choose;
+mod coords;
+mod expand;
+mod h5;
+mod raw;
+mod series;
+mod statistics;
+mod values;
+
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::Grid;
+
+pub use statistics::{Statistics, statistics};
 
 /// What to open, and what overrides or supplies what the files say.
 #[derive(Debug, Clone, Default)]
@@ -103,7 +123,107 @@ pub trait Series: Send + Sync {
 }
 
 /// Opens a series: finds the files, detects the layout, checks that the steps agree.
+///
+/// # Errors
+/// [`Error::Format`] for files that cannot be read or placed; it names the file, what was found, and the setting that
+/// helps. What is wrong with one later step is reported when that step is opened.
 pub fn open(spec: &SourceSpec) -> Result<Box<dyn Series>> {
-    let _ = spec;
-    Err(crate::Error::Unsupported("no layout yet".into()))
+    let files = expand::expand(&spec.series)?;
+    let plan = match spec.raw.as_deref() {
+        Some(text) => raw::plan(&files, text, spec)?,
+        None => match detect(&files)? {
+            FileKind::Hdf5 => h5::plan(&files, spec)?,
+        },
+    };
+    Ok(Box::new(series::Planned::new(plan, spec)?))
+}
+
+/// Kinds of file, by their first bytes.
+enum FileKind {
+    Hdf5,
+}
+
+/// The kind of the first file that has one.
+fn detect(files: &expand::Files) -> Result<FileKind> {
+    let mut reason = None;
+    for entry in &files.entries {
+        match kind_of(&entry.path) {
+            Ok(kind) => return Ok(kind),
+            Err(why) => reason = reason.or(Some(why)),
+        }
+    }
+    Err(reason.unwrap_or_else(|| Error::format("", "no files", "a file, a folder, a glob or a pattern")))
+}
+
+fn kind_of(path: &Path) -> Result<FileKind> {
+    if let Some(problem) = file_problem(path) {
+        return Err(problem);
+    }
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, e))?;
+    // An HDF5 superblock may stand behind a user block of 512, 1024, … bytes.
+    for at in [0, 512, 1024, 2048, 4096] {
+        let mut magic = [0; 8];
+        if file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut magic)).is_ok()
+            && magic == *b"\x89HDF\r\n\x1a\n"
+        {
+            return Ok(FileKind::Hdf5);
+        }
+    }
+    let mut start = Vec::new();
+    file.seek(SeekFrom::Start(0)).and_then(|_| file.take(8).read_to_end(&mut start)).map_err(|e| Error::io(path, e))?;
+    if start.starts_with(b"CDF") {
+        let remedy = "nccopy -k nc4 IN.nc OUT.nc";
+        return Err(Error::format(path, "netCDF in its classic format, which is not read", remedy));
+    }
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if ["h5", "hdf5", "he5", "nc", "nc4", "vtkhdf", "athdf", "hdf"].contains(&extension.as_str()) {
+        return Err(Error::format(
+            path,
+            "not HDF5: its signature is missing",
+            "the complete file, or --raw for a headerless one",
+        ));
+    }
+    let bytes = std::fs::metadata(path).map_err(|e| Error::io(path, e))?.len();
+    let found = format!("no known kind of file ({bytes} bytes)");
+    Err(Error::format(
+        path,
+        found,
+        "--raw 'dims=NXxNYxNZ,dtype=f32le,offset=0,order=zyx,steps=1' for a headerless file",
+    ))
+}
+
+/// What is wrong with a file before its format matters: missing, empty, or a Git LFS pointer.
+fn file_problem(path: &Path) -> Option<Error> {
+    let length = match std::fs::metadata(path) {
+        Ok(about) if about.is_dir() => return Some(Error::format(path, "is a folder", "the files in it, as a glob")),
+        Ok(about) => about.len(),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            return Some(Error::format(path, "no such file", "gloaming info lists the files of a series"));
+        }
+        Err(e) => return Some(Error::io(path, e)),
+    };
+    if length == 0 {
+        return Some(Error::format(path, "the file is empty", "the complete file; it may still be being written"));
+    }
+    let mut start = Vec::new();
+    let read = std::fs::File::open(path).and_then(|f| f.take(40).read_to_end(&mut start));
+    if let Err(e) = read {
+        return Some(Error::io(path, e));
+    }
+    let pointer = start.starts_with(b"version https://git-lfs.github.com/");
+    pointer.then(|| Error::format(path, "a Git LFS pointer, not the data", "git lfs pull"))
+}
+
+/// `48×96×96`.
+fn shape_text(shape: &[usize]) -> String {
+    if shape.is_empty() {
+        "a single value".into()
+    } else {
+        shape.iter().map(usize::to_string).collect::<Vec<_>>().join("×")
+    }
+}
+
+/// The first file of a series, for messages.
+fn first_name(series: &[PathBuf]) -> String {
+    series.first().map(|p| p.display().to_string()).unwrap_or_default()
 }
