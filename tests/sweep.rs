@@ -221,15 +221,17 @@ fn shadow_of_a_sphere() {
     for k in 0..n {
         for j in 0..n {
             for i in 0..n {
-                // Partial cover of the voxel by 4³ points: the medium that the grid stands for.
-                let inside = (0..64)
-                    .filter(|s| {
-                        let p = [i, j, k].map(|v| v as f64 - centre);
-                        let o = [s % 4, s / 4 % 4, s / 16].map(|v| (v as f64 + 0.5) / 4.0);
-                        (0..3).map(|a| (p[a] + o[a]).powi(2)).sum::<f64>() < radius * radius
-                    })
-                    .count();
-                sigma[grid.index([i, j, k])] = (sigma_t * inside as f64 / 64.0) as f32;
+                // Cover of the voxel by 16³ points near the rim: the medium that the grid stands for.
+                let p = [i, j, k].map(|v| v as f64 - centre);
+                let middle = p.iter().map(|v| (v + 0.5).powi(2)).sum::<f64>().sqrt();
+                let inside = if (middle - radius).abs() > 1.0 {
+                    if middle < radius { 4096 } else { 0 }
+                } else {
+                    let point = |s: usize| [s % 16, s / 16 % 16, s / 256].map(|v| (v as f64 + 0.5) / 16.0);
+                    let r2 = |o: [f64; 3]| (0..3).map(|a| (p[a] + o[a]).powi(2)).sum::<f64>();
+                    (0..4096).filter(|&s| r2(point(s)) < radius * radius).count()
+                };
+                sigma[grid.index([i, j, k])] = (sigma_t * inside as f64 / 4096.0) as f32;
             }
         }
     }
