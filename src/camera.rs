@@ -33,3 +33,11 @@ impl Camera {
         (self.forward + px * self.right - py * self.up).normalize()
     }
 }
+impl Camera {
+    /// TEMP
+    pub fn framed(_k: &crate::scene::CameraKeys, grid: &crate::Grid, _aspect: f64, _s: u64) -> crate::Result<Camera> {
+        let (lo, hi) = grid.bounds();
+        let c = ((lo + hi) * 0.5).as_vec3();
+        Ok(Camera::look_at(c + Vec3::new(0.3, -2.5, 0.6) * (hi - lo).as_vec3().x, c, Vec3::Z, 35.0))
+    }
+}

@@ -1,1 +1,329 @@
-//! A whole series: reading, lighting and writing at once.
+//! A whole series: reading ∥ lighting and rendering ∥ writing, on bounded channels.
+//!
+//! One thread reads ahead, the calling thread lights and renders, one thread writes. A step that cannot be read is lost:
+//! stated on stderr and in the ledger, and the rest goes on. A sink or a device that fails ends the run with its error,
+//! after everything already finished is closed properly.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use crate::device::Device;
+use crate::error::{Error, Result};
+use crate::field::{Dense, Timestep};
+use crate::ledger::{Ledger, LedgerRow};
+use crate::medium;
+use crate::scene::{RangeKey, RangeOver, Scene};
+use crate::session::{Session, cameras};
+use crate::sink::{self, Output, Sink, SinkOptions};
+use crate::source::Series;
+use crate::transfer::TransferFunction;
+
+/// Steps that may wait between two stages: one in hand and one ready is enough to overlap them.
+const DEPTH: usize = 2;
+
+/// A series to light and where to write it.
+pub struct Job {
+    /// The series.
+    pub series: Box<dyn Series>,
+    /// Indices into `series.info().steps`, in order.
+    pub indices: Vec<usize>,
+    /// What to show.
+    pub scene: Scene,
+    /// Where to compute.
+    pub device: Arc<dyn Device>,
+    /// Targets, one sink each.
+    pub outputs: Vec<String>,
+    /// Ledger file (`.csv` or `.json`).
+    pub ledger: Option<PathBuf>,
+}
+
+/// What became of a run.
+#[derive(Debug, Clone, Default)]
+pub struct Summary {
+    /// Steps written.
+    pub done: usize,
+    /// Steps lost, with the reason.
+    pub lost: Vec<(u64, String)>,
+    /// True when the run was stopped before its end.
+    pub interrupted: bool,
+    /// One row a step, lost ones included.
+    pub rows: Vec<LedgerRow>,
+}
+
+/// A step has been written (or lost).
+pub struct Progress<'a> {
+    /// Steps finished so far, lost ones included.
+    pub finished: usize,
+    /// Steps in all, where known.
+    pub total: Option<usize>,
+    /// What the step cost.
+    pub row: &'a LedgerRow,
+}
+
+/// Called after each step, from the writing thread.
+pub type OnProgress = dyn FnMut(Progress) + Send;
+
+/// Runs a job to its end, or until `stop` is set: then the step in hand is finished and everything is closed.
+pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress) -> Result<Summary> {
+    let Job { series, indices, scene, device, outputs, ledger } = job;
+    if indices.is_empty() {
+        let info = series.info();
+        return Err(Error::format(
+            info.series.first().cloned().unwrap_or_default(),
+            format!("no step selected out of {}", info.steps.len()),
+            "gloaming info SERIES lists the steps",
+        ));
+    }
+    let range = series_range(&*series, &indices, &scene, stop)?;
+    let total = indices.len();
+    let sinks = open_sinks(&scene, &outputs, total, &series.info().field)?;
+    let wants_light = sinks.iter().any(|s| s.wants_light());
+    let session = Session::new(device, scene, range, wants_light)?;
+    let steps = indices.into_iter().map(|i| {
+        let step = series.info().steps[i].step;
+        series.timestep(i).map_err(|e| (step, e))
+    });
+    drive(steps, session, sinks, ledger, Some(total), stop, progress)
+}
+
+/// Opens one sink for each target.
+fn open_sinks(
+    scene: &Scene,
+    outputs: &[String],
+    steps: usize,
+    field: &str,
+) -> Result<Vec<Box<dyn Sink>>> {
+    let options = SinkOptions {
+        steps,
+        field: field.into(),
+        cameras: cameras(scene).into_iter().map(|c| c.name).collect(),
+        colors: TransferFunction::new(&scene.transfer)?.colors(),
+        ..SinkOptions::from(scene)
+    };
+    outputs.iter().map(|target| sink::open(target, &options)).collect()
+}
+
+/// The range of values over all steps: the scene's, else what the file says, else from a pass over the selected steps.
+fn series_range(series: &dyn Series, indices: &[usize], scene: &Scene, stop: &AtomicBool) -> Result<Option<[f64; 2]>> {
+    if scene.field.range != RangeKey::Over(RangeOver::Series) {
+        return Ok(None);
+    }
+    if let Some((range, source)) = &series.info().range {
+        tracing::info!("values {}..{} from {source}", range[0], range[1]);
+        return Ok(Some(*range));
+    }
+    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+    let mut values = Vec::new();
+    for &i in indices {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        // A step that cannot be read is reported when its turn comes.
+        let Ok(step) = series.timestep(i) else { continue };
+        values.resize(step.grid.len(), 0.0);
+        if step.field.read(step.grid.region(), &mut values).is_err() {
+            continue;
+        }
+        medium::mark_holes(&mut values);
+        for &v in values.iter().filter(|v| **v >= crate::field::HOLE) {
+            lo = lo.min(v);
+            hi = hi.max(v);
+        }
+    }
+    if lo > hi {
+        return Ok(None);
+    }
+    tracing::info!("values {lo}..{hi} from a pass over {} steps; field.range = [lo, hi] saves it", indices.len());
+    Ok(Some([f64::from(lo), f64::from(hi)]))
+}
+
+/// Moves steps through the three stages.
+fn drive(
+    steps: impl Iterator<Item = std::result::Result<Timestep, (u64, Error)>> + Send,
+    mut session: Session,
+    sinks: Vec<Box<dyn Sink>>,
+    ledger: Option<PathBuf>,
+    total: Option<usize>,
+    stop: &AtomicBool,
+    progress: &mut OnProgress,
+) -> Result<Summary> {
+    let (read_tx, read_rx) = bounded(DEPTH);
+    let (write_tx, write_rx) = bounded(DEPTH);
+    std::thread::scope(|scope| {
+        scope.spawn(move || read_ahead(steps, read_tx, stop));
+        let writer = scope.spawn(move || write_behind(write_rx, sinks, ledger, total, progress));
+        let lit = light_up(&mut session, read_rx, write_tx, stop);
+        let written = writer.join().unwrap_or_else(|_| Err(Error::Closed("the writing thread died".into())));
+        // A failing sink closes the channel to it; its own error says more than the closed channel does.
+        let mut summary = written?;
+        lit?;
+        summary.interrupted = stop.load(Ordering::Relaxed) && total.is_none_or(|t| summary.rows.len() < t);
+        if summary.done == 0 && !summary.interrupted {
+            if let Some((step, why)) = summary.lost.first() {
+                return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
+            }
+        }
+        Ok(summary)
+    })
+}
+
+/// What the reader hands on: values in memory and the time they took, or why there are none.
+type Read = std::result::Result<(Timestep, f64), (u64, Error)>;
+
+/// Reads whole steps ahead of their turn.
+fn read_ahead(
+    steps: impl Iterator<Item = std::result::Result<Timestep, (u64, Error)>>,
+    to: Sender<Read>,
+    stop: &AtomicBool,
+) {
+    for step in steps {
+        let begun = Instant::now();
+        let read = step.and_then(|t| resident(t.clone()).map_err(|e| (t.step, e)));
+        let read = read.map(|t| (t, begun.elapsed().as_secs_f64() * 1e3));
+        if stop.load(Ordering::Relaxed) || to.send(read).is_err() {
+            return;
+        }
+    }
+}
+
+/// The same step with its values in memory.
+fn resident(step: Timestep) -> Result<Timestep> {
+    let mut values = vec![0.0; step.grid.len()];
+    step.field.read(step.grid.region(), &mut values)?;
+    Ok(Timestep { field: Arc::new(Dense::new(step.grid.size, values)), ..step })
+}
+
+/// What the lighting stage hands on: an output, or the row of a lost step.
+type Lit = std::result::Result<Output, LedgerRow>;
+
+/// Lights and renders each step.
+fn light_up(session: &mut Session, from: Receiver<Read>, to: Sender<Lit>, stop: &AtomicBool) -> Result<()> {
+    for read in from {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        let lit = match read {
+            Ok((step, read_ms)) => {
+                let (number, time) = (step.step, step.time);
+                match session.advance(step) {
+                    Ok(mut output) => {
+                        output.row.read_ms = read_ms;
+                        Ok(output)
+                    }
+                    Err(e @ (Error::Format { .. } | Error::Unsupported(_))) => {
+                        Err(LedgerRow { step: number, time, lost: e.to_string(), ..Default::default() })
+                    }
+                    Err(e) => return Err(e),
+                }
+            }
+            Err((step, e)) => Err(LedgerRow { step, lost: e.to_string(), ..Default::default() }),
+        };
+        if to.send(lit).is_err() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Writes each output to every sink and keeps the ledger; closes everything at the end, whatever happened.
+fn write_behind(
+    from: Receiver<Lit>,
+    mut sinks: Vec<Box<dyn Sink>>,
+    ledger: Option<PathBuf>,
+    total: Option<usize>,
+    progress: &mut OnProgress,
+) -> Result<Summary> {
+    let mut ledger = ledger.map(Ledger::create).transpose()?;
+    let mut summary = Summary::default();
+    let mut outcome = Ok(());
+    for lit in from {
+        let row = match lit {
+            Ok(mut output) => {
+                let begun = Instant::now();
+                outcome = sinks.iter_mut().try_for_each(|s| s.write(&output));
+                if outcome.is_err() {
+                    break;
+                }
+                output.row.write_ms = begun.elapsed().as_secs_f64() * 1e3;
+                summary.done += 1;
+                output.row
+            }
+            Err(row) => {
+                summary.lost.push((row.step, row.lost.clone()));
+                row
+            }
+        };
+        if let Some(ledger) = &mut ledger {
+            outcome = ledger.push(row.clone());
+            if outcome.is_err() {
+                break;
+            }
+        }
+        summary.rows.push(row);
+        progress(Progress { finished: summary.rows.len(), total, row: summary.rows.last().expect("just pushed") });
+    }
+    let closed = sinks.iter_mut().map(|s| s.finish()).fold(Ok(()), |all, one| all.and(one));
+    outcome?;
+    closed?;
+    Ok(summary)
+}
+
+/// A running simulation's end of the pipeline: steps go in, frames and movies come out, lit on a thread of its own.
+pub struct InSitu {
+    steps: Option<Sender<Timestep>>,
+    worker: Option<JoinHandle<Result<Summary>>>,
+}
+
+impl InSitu {
+    /// Opens a session that lights what is pushed.
+    pub fn open(
+        scene: Scene,
+        device: Arc<dyn Device>,
+        outputs: &[String],
+        ledger: Option<PathBuf>,
+        field: &str,
+    ) -> Result<InSitu> {
+        let sinks = open_sinks(&scene, outputs, 0, field)?;
+        let wants_light = sinks.iter().any(|s| s.wants_light());
+        let session = Session::new(device, scene, None, wants_light)?;
+        let (tx, rx) = bounded::<Timestep>(DEPTH);
+        let run = move || {
+            let stop = AtomicBool::new(false);
+            drive(rx.into_iter().map(Ok), session, sinks, ledger, None, &stop, &mut |_| ())
+        };
+        let worker = std::thread::Builder::new()
+            .name("gloaming".into())
+            .spawn(run)
+            .map_err(|e| Error::Device(format!("cannot start a thread: {e}")))?;
+        Ok(InSitu { steps: Some(tx), worker: Some(worker) })
+    }
+
+    /// Hands over one step. Waits while the queue is full.
+    pub fn push(&mut self, step: Timestep) -> Result<()> {
+        let closed = || Error::Closed("the session has ended; close() tells why".into());
+        self.steps.as_ref().ok_or_else(closed)?.send(step).map_err(|_| closed())
+    }
+
+    /// Lights what is still waiting and closes every file.
+    pub fn close(mut self) -> Result<Summary> {
+        self.steps = None;
+        let worker = self.worker.take().ok_or_else(|| Error::Closed("closed already".into()))?;
+        worker.join().unwrap_or_else(|_| Err(Error::Closed("the lighting thread died".into())))
+    }
+}
+
+impl Drop for InSitu {
+    fn drop(&mut self) {
+        self.steps = None;
+        if let Some(worker) = self.worker.take()
+            && let Ok(Err(e)) = worker.join()
+        {
+            tracing::error!("{e}");
+        }
+    }
+}

@@ -1,1 +1,177 @@
 //! One timestep: classify, light, render.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::camera::Camera;
+use crate::device::Device;
+use crate::error::Result;
+use crate::field::Timestep;
+use crate::frame::Frame;
+use crate::grid::Grid;
+use crate::ledger::LedgerRow;
+use crate::light::{LightSolver, LightVolume};
+use crate::lights::{self, Light};
+use crate::medium::Medium;
+use crate::render::{self, Renderer};
+use crate::scene::{RangeKey, RangeOver, Scene};
+use crate::sink::{Output, View};
+use crate::transfer::TransferFunction;
+
+/// Lights and renders one step after another, each starting from the light of the step before.
+pub struct Session {
+    device: Arc<dyn Device>,
+    scene: Scene,
+    transfer: TransferFunction,
+    lights: Vec<Light>,
+    renderer: Box<dyn Renderer>,
+    range: Option<[f64; 2]>,
+    seen: Option<[f64; 2]>,
+    wants_light: bool,
+    steps: u64,
+    state: Option<State>,
+}
+
+/// What is sized by the data's grid, made when the first step arrives.
+struct State {
+    medium: Medium,
+    solver: LightSolver,
+    light: LightVolume,
+}
+
+impl State {
+    fn new(device: &dyn Device, scene: &Scene, transfer: &TransferFunction, grid: Grid) -> Result<Self> {
+        let table = transfer.table([0.0, 1.0], grid.mean_spacing());
+        Ok(State {
+            medium: Medium::new(device, grid, table)?,
+            solver: LightSolver::new(device, scene, &grid)?,
+            light: LightVolume::default(),
+        })
+    }
+}
+
+impl Session {
+    /// A session that shows `scene` on `device`. `range` are the values that map to 0 and 1 of the transfer function where
+    /// the scene leaves it to the series; `None` lets the range grow with the steps seen so far.
+    pub fn new(device: Arc<dyn Device>, scene: Scene, range: Option<[f64; 2]>, wants_light: bool) -> Result<Self> {
+        scene.validate()?;
+        let range = match scene.field.range {
+            RangeKey::Fixed(range) => Some(range),
+            RangeKey::Over(RangeOver::Series) => range,
+            RangeKey::Over(RangeOver::Step) => None,
+        };
+        Ok(Session {
+            transfer: TransferFunction::new(&scene.transfer)?,
+            lights: lights::resolve(&scene)?,
+            renderer: render::renderer(&scene)?,
+            steps: 0,
+            seen: None,
+            state: None,
+            device,
+            scene,
+            range,
+            wants_light,
+        })
+    }
+
+    /// The scene that is shown.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Lights and renders one step.
+    pub fn advance(&mut self, step: Timestep) -> Result<Output> {
+        let device = &*self.device;
+        let state = match &mut self.state {
+            Some(state) => state,
+            none => none.insert(State::new(device, &self.scene, &self.transfer, step.grid)?),
+        };
+
+        let mut clock = Clock::start();
+        let (holes, seen) = state.medium.take(device, &step)?;
+        let range = self.range.unwrap_or_else(|| running(self.scene.field.range, &mut self.seen, seen));
+        state.medium.classify(self.transfer.table(range, step.grid.mean_spacing()));
+        let classify_ms = clock.lap();
+
+        let solved = state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?;
+        let light_ms = clock.lap();
+
+        let mut frames = Vec::with_capacity(self.scene.cameras.len());
+        let size = self.scene.render.size;
+        for keys in cameras(&self.scene) {
+            let camera = Camera::framed(&keys, &step.grid, size[0] as f64 / size[1] as f64, self.steps)?;
+            let frame = self.renderer.render(device, &state.medium, &state.light, &camera, size)?;
+            frames.push(view(&keys.name, keys.fov as f32, &camera, frame));
+        }
+        let render_ms = clock.lap();
+
+        let light = if self.wants_light {
+            Some(Arc::new(state.solver.illuminated(device, &state.light)?))
+        } else {
+            None
+        };
+        self.steps += 1;
+        let row = LedgerRow {
+            step: step.step,
+            time: step.time,
+            bytes: 4 * step.grid.len() as u64,
+            start: if solved.warm { "warm" } else { "cold" }.into(),
+            iterations: solved.iterations,
+            sweeps: solved.sweeps,
+            voxel_updates: solved.voxel_updates,
+            bricks_active: solved.bricks_active,
+            bricks_total: solved.bricks_total,
+            certified_error: solved.certified_error,
+            holes,
+            classify_ms,
+            light_ms: light_ms + clock.lap(),
+            render_ms,
+            ..Default::default()
+        };
+        Ok(Output { step: step.step, time: step.time, range, frames, light, row })
+    }
+}
+
+/// The range of values where neither the scene nor the series tells: this step's, or over all steps so far, so that it only
+/// grows.
+fn running(over: RangeKey, before: &mut Option<[f64; 2]>, now: Option<[f32; 2]>) -> [f64; 2] {
+    let now = now.map(|r| r.map(f64::from));
+    if over == RangeKey::Over(RangeOver::Step) {
+        return now.unwrap_or([0.0, 1.0]);
+    }
+    *before = match (*before, now) {
+        (Some(b), Some(n)) => Some([b[0].min(n[0]), b[1].max(n[1])]),
+        (known, None) | (None, known) => known,
+    };
+    before.unwrap_or([0.0, 1.0])
+}
+
+/// The cameras of a scene; one that frames the volume when it names none.
+pub(crate) fn cameras(scene: &Scene) -> Vec<crate::scene::CameraKeys> {
+    if scene.cameras.is_empty() { vec![Default::default()] } else { scene.cameras.clone() }
+}
+
+fn view(name: &str, fov: f32, camera: &Camera, frame: Frame) -> View {
+    View {
+        camera: name.into(),
+        axes: [camera.right.into(), camera.up.into(), camera.forward.into()],
+        eye: camera.eye.into(),
+        fov,
+        frame,
+    }
+}
+
+/// Milliseconds between laps.
+struct Clock(Instant);
+
+impl Clock {
+    fn start() -> Self {
+        Clock(Instant::now())
+    }
+
+    fn lap(&mut self) -> f64 {
+        let lap = self.0.elapsed().as_secs_f64() * 1e3;
+        self.0 = Instant::now();
+        lap
+    }
+}

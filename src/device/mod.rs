@@ -261,6 +261,13 @@ pub trait Device: Send + Sync {
     /// Copies host values into the start of a buffer.
     fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()>;
 
+    /// Hands over values that fill a buffer and returns memory for the next ones: the buffer's old memory where it is the
+    /// host's, so that nothing is copied, else the same memory.
+    fn exchange(&self, values: Vec<f32>, with: &mut Buffer) -> Result<Vec<f32>> {
+        self.upload(&values, with)?;
+        Ok(values)
+    }
+
     /// Copies the start of a buffer into host memory.
     fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()>;
 

@@ -51,6 +51,16 @@ fn host_mut(buffer: &mut Buffer) -> &mut [f32] {
     }
 }
 
+impl Buffer {
+    fn into_host(self) -> Vec<f32> {
+        match self.0 {
+            Storage::Host(v) => v,
+            #[cfg(feature = "gpu")]
+            _ => panic!("a buffer of the CPU device"),
+        }
+    }
+}
+
 impl Device for Cpu {
     fn name(&self) -> String {
         let simd = match simd::level() {
@@ -71,6 +81,11 @@ impl Device for Cpu {
     fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()> {
         host_mut(into)[..values.len()].copy_from_slice(values);
         Ok(())
+    }
+
+    fn exchange(&self, values: Vec<f32>, with: &mut Buffer) -> Result<Vec<f32>> {
+        assert_eq!(values.len(), with.len(), "values must fill the buffer");
+        Ok(std::mem::replace(with, Buffer(Storage::Host(values))).into_host())
     }
 
     fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()> {

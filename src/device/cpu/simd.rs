@@ -77,6 +77,58 @@ macro_rules! dispatch {
 }
 pub(crate) use dispatch;
 
+/// Asks for the cache line of `values[at]`, if there is one. Rows of a brick are too short for the hardware to see a
+/// stream: without this a brick waits for memory most of the time.
+#[inline(always)]
+pub fn prefetch(values: *const f32, at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch reads nothing and faults nowhere; `wrapping_add` makes no claim about the address.
+    unsafe {
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(values.wrapping_add(at).cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (values, at);
+}
+
+/// `to[j·to_stride + i] = from[i·from_stride + j]` for i < rows, j < cols: rows of memory become columns.
+///
+/// # Safety
+/// Every address above must lie in memory that may be read (`from`) or written (`to`), and the two must not overlap.
+#[inline(always)]
+pub unsafe fn transpose(
+    from: *const f32,
+    from_stride: isize,
+    rows: usize,
+    cols: usize,
+    to: *mut f32,
+    to_stride: isize,
+) {
+    let (block_rows, block_cols) = if cfg!(target_arch = "x86_64") { (rows / 4 * 4, cols / 4 * 4) } else { (0, 0) };
+    // SAFETY: the caller vouches for the addresses; SSE is part of every x86-64.
+    unsafe {
+        #[cfg(target_arch = "x86_64")]
+        for i in (0..block_rows).step_by(4) {
+            use std::arch::x86_64::{_MM_TRANSPOSE4_PS, _mm_loadu_ps, _mm_storeu_ps};
+            for j in (0..block_cols).step_by(4) {
+                let at = from.offset(i as isize * from_stride).add(j);
+                let [mut a, mut b, mut c, mut d] = [0, 1, 2, 3].map(|k| _mm_loadu_ps(at.offset(k * from_stride)));
+                _MM_TRANSPOSE4_PS(&mut a, &mut b, &mut c, &mut d);
+                let at = to.offset(j as isize * to_stride).add(i);
+                _mm_storeu_ps(at, a);
+                _mm_storeu_ps(at.offset(to_stride), b);
+                _mm_storeu_ps(at.offset(2 * to_stride), c);
+                _mm_storeu_ps(at.offset(3 * to_stride), d);
+            }
+        }
+        for i in 0..rows {
+            let first = if i < block_rows { block_cols } else { 0 };
+            for j in first..cols {
+                *to.offset(j as isize * to_stride).add(i) = *from.offset(i as isize * from_stride).add(j);
+            }
+        }
+    }
+}
+
 /// e^x for x ≤ 0 to 2 units in the last place, 0 below −87; `exp(0) = 1` exactly. Cephes' polynomial, range reduced by ln 2
 /// in two parts; branch-free so that loops vectorise.
 #[inline(always)]

@@ -9,9 +9,12 @@
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-use super::simd::{dispatch, exp};
+use super::simd::{dispatch, exp, prefetch, transpose};
 use crate::device::Sweep;
 use crate::grid::{BrickLayout, Region};
+
+/// Values in a cache line.
+const LINE: usize = 16;
 
 /// Axes of a sweep: layers along the dominant axis, rows and columns across it (columns contiguous where possible), and
 /// the lateral offset of the foot, in voxels per layer.
@@ -58,10 +61,15 @@ pub(crate) fn sweep(
     }
     let axes = Axes::new(sweep);
     let shared = Shared(rho.as_mut_ptr(), rho.len());
-    let mut changes = Vec::with_capacity(fronts.iter().map(|f| f.len()).sum());
+    let listed = fronts.iter().map(|f| f.len()).sum();
+    if listed == layout.len() {
+        whole(&axes, sweep, sigma, shared);
+        return vec![f32::INFINITY; listed];
+    }
+    let mut changes = Vec::with_capacity(listed);
     for front in fronts {
         let one = |&b: &u32| {
-            SCRATCH.with_borrow_mut(|scratch| brick(&axes, sweep, layout.region(b as usize), sigma, shared, scratch))
+            SCRATCH.with_borrow_mut(|scratch| brick(&axes, sweep, layout.region(b as usize), sigma, shared, scratch, true))
         };
         if front.len() == 1 {
             changes.push(one(&front[0]));
@@ -70,6 +78,122 @@ pub(crate) fn sweep(
         }
     }
     changes
+}
+
+/// The whole grid, when nothing is to be skipped: blocks as long as the grid's columns, so that memory is read in long rows.
+/// Bit for bit what the bricks give. Blocks on a diagonal of (layer, row) are independent.
+fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
+    // Along x the block is transposed in cache: fewer rows of it fit.
+    let (depth, breadth) = if axes.layer == 0 { (32, 8) } else { (32, 16) };
+    let size = sweep.size;
+    let (layers, rows) = (size[axes.layer].div_ceil(depth), size[axes.row].div_ceil(breadth));
+    for diagonal in 0..layers + rows - 1 {
+        let first = diagonal.saturating_sub(rows - 1);
+        (first..layers.min(diagonal + 1)).into_par_iter().with_max_len(1).for_each(|l| {
+            let r = diagonal - l;
+            let mut region = Region { start: [0; 3], size };
+            let mut cut = |axis: usize, n: usize, count: usize, part: usize, ascending: bool| {
+                let part = if ascending { part } else { count - 1 - part };
+                region.start[axis] = part * n;
+                region.size[axis] = n.min(size[axis] - part * n);
+            };
+            cut(axes.layer, depth, layers, l, axes.ascending);
+            cut(axes.row, breadth, rows, r, axes.row_offset >= 0.0);
+            if axes.layer == 0 {
+                SCRATCH.with_borrow_mut(|scratch| brick(axes, sweep, region, sigma, rho, scratch, false));
+            } else {
+                CONSTANT.with_borrow_mut(|constant| {
+                    if constant.0.len() < size[0] {
+                        *constant = (vec![1.0; size[0]], vec![0.0; size[0]]);
+                    }
+                    block(axes, sweep, region, sigma, rho, constant)
+                });
+            }
+        });
+    }
+}
+
+thread_local! {
+    /// A row of ρ and of σ outside the grid.
+    static CONSTANT: RefCell<(Vec<f32>, Vec<f32>)> = RefCell::default();
+}
+
+dispatch! {
+    fn block(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, outside: &(Vec<f32>, Vec<f32>)) = block_body;
+}
+
+/// A block whose columns are whole rows of memory, swept in place.
+#[inline(always)]
+fn block_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, outside: &(Vec<f32>, Vec<f32>)) {
+    let size = sweep.size;
+    let stride = [1, size[0], size[0] * size[1]];
+    let n = size[0];
+    let (ones, zeros) = (&outside.0[..n], &outside.1[..n]);
+    let weights = weights(axes);
+    let half = -0.5 * sweep.length;
+    let (forward, row_forward) = (axes.col_offset >= 0.0, axes.row_offset >= 0.0);
+    // SAFETY: rows of the layer before, written by this block or by blocks of earlier diagonals.
+    let read = |at: usize| unsafe {
+        debug_assert!(at + n <= rho.1);
+        std::slice::from_raw_parts(rho.0.add(at), n)
+    };
+    // SAFETY: a row of this block, read and written by nobody else on this diagonal and not part of the layer before.
+    let write = |at: usize| unsafe {
+        debug_assert!(at + n <= rho.1);
+        std::slice::from_raw_parts_mut(rho.0.add(at), n)
+    };
+    for l in 0..region.size[axes.layer] {
+        let layer = if axes.ascending { region.start[axes.layer] + l } else { region.end()[axes.layer] - 1 - l };
+        let before = if axes.ascending { layer.checked_sub(1) } else { Some(layer + 1).filter(|&l| l < size[axes.layer]) };
+        for row in region.start[axes.row]..region.end()[axes.row] {
+            let base = layer * stride[axes.layer] + row * stride[axes.row];
+            let out = write(base);
+            let sigma_here = &sigma[base..base + n];
+            let Some(before) = before else {
+                first_line(sigma_here, half, out);
+                continue;
+            };
+            let up = if row_forward { row.checked_sub(1) } else { Some(row + 1).filter(|&r| r < size[axes.row]) };
+            let at = before * stride[axes.layer] + row * stride[axes.row];
+            let (a, sa) = (read(at), &sigma[at..at + n]);
+            let (c, sc) = up.map_or((ones, zeros), |up| {
+                let at = before * stride[axes.layer] + up * stride[axes.row];
+                (read(at), &sigma[at..at + n])
+            });
+            // The column upstream of the first one lies outside the grid.
+            let (edge, inner, shifted) = if forward { (0, 1..n, 0..n - 1) } else { (n - 1, 0..n - 1, 1..n) };
+            line(
+                [&a[inner.clone()], &a[shifted.clone()], &c[inner.clone()], &c[shifted.clone()]],
+                [&sa[inner.clone()], &sa[shifted.clone()], &sc[inner.clone()], &sc[shifted]],
+                &sigma_here[inner.clone()],
+                weights,
+                half,
+                &mut out[inner],
+            );
+            let e = edge..edge + 1;
+            line(
+                [&a[e.clone()], &ones[..1], &c[e.clone()], &ones[..1]],
+                [&sa[e.clone()], &zeros[..1], &sc[e.clone()], &zeros[..1]],
+                &sigma_here[e.clone()],
+                weights,
+                half,
+                &mut out[e],
+            );
+        }
+    }
+}
+
+/// Bilinear weights of the foot: own row and column, upstream column, upstream row, both.
+#[inline(always)]
+fn weights(axes: &Axes) -> [f32; 4] {
+    let (r, c) = (axes.row_offset.abs(), axes.col_offset.abs());
+    [(1.0 - r) * (1.0 - c), (1.0 - r) * c, r * (1.0 - c), r * c]
+}
+
+/// The first layer: half a voxel inside the box.
+#[inline(always)]
+fn first_line(sigma: &[f32], half: f32, out: &mut [f32]) {
+    out.iter_mut().zip(sigma).for_each(|(o, s)| *o = exp(half * s));
 }
 
 /// A brick with its upstream halo, layers first in order of travel: (layers + 1) × (rows + 1) × (columns + 1).
@@ -103,21 +227,25 @@ impl Local {
     }
     /// Grid index along the layer axis of local layer `l`, −1 or beyond the grid for a halo outside.
     fn layer_at(&self, r: &Region, axes: &Axes, l: usize) -> isize {
-        let start = r.start[axes.layer] as isize;
-        if axes.ascending { start + l as isize - 1 } else { start + (self.layers - l) as isize }
+        let (start, l) = (r.start[axes.layer] as isize, l as isize);
+        if axes.ascending { start + l - 1 } else { start + self.layers as isize - l }
     }
     fn row_at(&self, r: &Region, axes: &Axes, row: usize) -> isize {
-        let start = r.start[axes.row] as isize;
-        if self.row_forward { start + row as isize - 1 } else { start + (self.rows - row) as isize }
+        let (start, row) = (r.start[axes.row] as isize, row as isize);
+        if self.row_forward { start + row - 1 } else { start + self.rows as isize - row }
+    }
+    /// Local layer of the brick's `i`-th voxel along the layer axis.
+    fn layer_of(&self, axes: &Axes, i: usize) -> usize {
+        if axes.ascending { i + 1 } else { self.layers - i }
     }
 }
 
 dispatch! {
-    fn brick(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch) -> f32 = brick_body;
+    fn brick(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch, compare: bool) -> f32 = brick_body;
 }
 
 #[inline(always)]
-fn brick_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch) -> f32 {
+fn brick_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch, compare: bool) -> f32 {
     let local = Local {
         layers: region.size[axes.layer],
         rows: region.size[axes.row],
@@ -131,25 +259,20 @@ fn brick_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Sh
         scratch.rho.resize(need, 0.0);
     }
     let (s, r) = (&mut scratch.sigma[..need], &mut scratch.rho[..need]);
-    // SAFETY: only the halo is read through this slice, which belongs to bricks of earlier fronts; no other thread
-    // writes those voxels while it lives.
-    let upstream = |at: usize, n: usize| unsafe {
-        debug_assert!(at + n <= rho.1);
-        std::slice::from_raw_parts(rho.0.add(at), n)
-    };
-    gather(axes, sweep.size, &region, &local, s, 0.0, true, |at, n| &sigma[at..at + n]);
-    gather(axes, sweep.size, &region, &local, r, 1.0, false, upstream);
+    let sigma = Shared(sigma.as_ptr().cast_mut(), sigma.len());
+    gather(axes, sweep.size, &region, &local, s, 0.0, true, sigma);
+    gather(axes, sweep.size, &region, &local, r, 1.0, false, rho);
 
     let first = local.layer_at(&region, axes, 0);
     let outside = first < 0 || first as usize >= sweep.size[axes.layer];
     march_layers(axes, sweep.length, &local, outside, s, r);
-    scatter(axes, sweep.size, &region, &local, r, rho)
+    scatter(axes, sweep.size, &region, &local, r, rho, compare)
 }
 
 /// Copies a brick and its halo out of a grid; `fill` stands outside the grid. With `inside` false only the halo is copied.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
-fn gather<'a>(
+fn gather(
     axes: &Axes,
     size: [usize; 3],
     region: &Region,
@@ -157,9 +280,14 @@ fn gather<'a>(
     out: &mut [f32],
     fill: f32,
     inside: bool,
-    read: impl Fn(usize, usize) -> &'a [f32],
+    from: Shared,
 ) {
     let stride = [1, size[0], size[0] * size[1]];
+    // SAFETY: σ, which nobody writes, or the halo of ρ, which belongs to earlier fronts and is written by nobody now.
+    let read = |at: usize, n: usize| unsafe {
+        debug_assert!(at + n <= from.1);
+        std::slice::from_raw_parts(from.0.cast_const().add(at), n)
+    };
     let (pitch, plane) = (local.pitch(), local.plane());
     let col_start = region.start[axes.col];
     // First grid column of a local row, and where the columns of the grid begin in it.
@@ -173,6 +301,12 @@ fn gather<'a>(
         for l in 0..=local.layers {
             let layer = on_grid(local.layer_at(region, axes, l), size[axes.layer]);
             for row in 0..=local.rows {
+                let ahead = on_grid(local.layer_at(region, axes, l + 1), size[axes.layer]);
+                if let Some((layer, row)) = ahead.zip(on_grid(local.row_at(region, axes, row), size[axes.row])) {
+                    let at = layer * stride[axes.layer] + row * stride[axes.row] + col_start;
+                    (0..local.cols).step_by(LINE).for_each(|i| prefetch(from.0, at + i));
+                    halo_col.inspect(|c| prefetch(from.0, at - col_start + c));
+                }
                 let out = &mut out[l * plane + row * pitch..][..pitch];
                 let at = layer.zip(on_grid(local.row_at(region, axes, row), size[axes.row]));
                 let Some((layer, grid_row)) = at else {
@@ -198,48 +332,38 @@ fn gather<'a>(
             }
             continue;
         };
+        if let Some(z) = on_grid(local.row_at(region, axes, row + 1), size[2]) {
+            for y in col_start..col_start + local.cols {
+                let at = z * stride[2] + y * stride[1] + x_start;
+                (0..local.layers).step_by(LINE).for_each(|i| prefetch(from.0, at + i));
+            }
+        }
         let out = &mut out[row * pitch..];
-        let column = |slot: usize, y: Option<usize>, out: &mut [f32], deep: bool| {
-            let Some(y) = y else {
-                (0..=local.layers).for_each(|l| out[l * plane + slot] = fill);
-                return;
-            };
-            let base = z * stride[2] + y * stride[1];
-            out[slot] = halo_x.map_or(fill, |x| read(base + x, 1)[0]);
-            if deep {
-                let line = read(base + x_start, local.layers);
-                for (i, &v) in line.iter().enumerate() {
-                    let l = if axes.ascending { i + 1 } else { local.layers - i };
-                    out[l * plane + slot] = v;
-                }
-            }
-        };
-        column(halo_slot, halo_col, out, true);
-        let deep = inside || row == 0;
-        let blocks = if deep { local.cols / 8 * 8 } else { 0 };
-        for c in (0..blocks).step_by(8) {
-            for i in (0..local.layers / 8 * 8).step_by(8) {
-                let tile: [[f32; 8]; 8] = std::array::from_fn(|c8| {
-                    let base = z * stride[2] + (col_start + c + c8) * stride[1] + x_start + i;
-                    read(base, 8).try_into().expect("8 values")
-                });
-                for i8 in 0..8 {
-                    let l = if axes.ascending { i + i8 + 1 } else { local.layers - i - i8 };
-                    let line: [f32; 8] = std::array::from_fn(|c8| tile[c8][i8]);
-                    out[l * plane + body + c..][..8].copy_from_slice(&line);
-                }
-            }
-            for c8 in 0..8 {
-                let base = z * stride[2] + (col_start + c + c8) * stride[1];
-                out[body + c + c8] = halo_x.map_or(fill, |x| read(base + x, 1)[0]);
-                for i in local.layers / 8 * 8..local.layers {
-                    let l = if axes.ascending { i + 1 } else { local.layers - i };
-                    out[l * plane + body + c + c8] = read(base + x_start + i, 1)[0];
+        // The upstream layer, and the upstream column with all its layers.
+        for c in 0..local.cols {
+            out[body + c] = halo_x.map_or(fill, |x| read(z * stride[2] + (col_start + c) * stride[1] + x, 1)[0]);
+        }
+        match halo_col {
+            None => (0..=local.layers).for_each(|l| out[l * plane + halo_slot] = fill),
+            Some(y) => {
+                let base = z * stride[2] + y * stride[1];
+                out[halo_slot] = halo_x.map_or(fill, |x| read(base + x, 1)[0]);
+                for (i, &v) in read(base + x_start, local.layers).iter().enumerate() {
+                    out[local.layer_of(axes, i) * plane + halo_slot] = v;
                 }
             }
         }
-        for c in blocks..local.cols {
-            column(body + c, Some(col_start + c), out, deep);
+        if inside || row == 0 {
+            let base = z * stride[2] + col_start * stride[1] + x_start;
+            let to = &mut out[body..(local.layers) * plane + body + local.cols];
+            let first = local.layer_of(axes, 0) * plane;
+            let step = if axes.ascending { plane as isize } else { -(plane as isize) };
+            assert!(base + (local.cols - 1) * stride[1] + local.layers <= from.1);
+            // SAFETY: `to` holds layers 1..=layers of this row, `first` and `step` stay within; `from` was checked.
+            unsafe {
+                let to = to.as_mut_ptr().add(first);
+                transpose(from.0.add(base), stride[1] as isize, local.cols, local.layers, to, step);
+            }
         }
     }
 }
@@ -248,8 +372,7 @@ fn gather<'a>(
 #[inline(always)]
 fn march_layers(axes: &Axes, length: f32, local: &Local, outside: bool, s: &[f32], r: &mut [f32]) {
     let (pitch, plane, cols) = (local.pitch(), local.plane(), local.cols);
-    let (wr, wc) = (axes.row_offset.abs(), axes.col_offset.abs());
-    let (w00, w01, w10, w11) = ((1.0 - wr) * (1.0 - wc), (1.0 - wr) * wc, wr * (1.0 - wc), wr * wc);
+    let weights = weights(axes);
     let here = usize::from(local.col_forward);
     let up = 1 - here;
     let half = -0.5 * length;
@@ -262,27 +385,45 @@ fn march_layers(axes: &Axes, length: f32, local: &Local, outside: bool, s: &[f32
             let out = &mut rest[at + here..][..cols];
             let sigma = &s_now[at + here..][..cols];
             if outside && l == 1 {
-                for c in 0..cols {
-                    out[c] = exp(half * sigma[c]);
-                }
+                first_line(sigma, half, out);
                 continue;
             }
-            let (a, b) = (&before[at + here..][..cols], &before[at + up..][..cols]);
-            let (c, d) = (&before[at - pitch + here..][..cols], &before[at - pitch + up..][..cols]);
-            let (sa, sb) = (&s_before[at + here..][..cols], &s_before[at + up..][..cols]);
-            let (sc, sd) = (&s_before[at - pitch + here..][..cols], &s_before[at - pitch + up..][..cols]);
-            for i in 0..cols {
-                let rho_foot = (w00 * a[i] + w01 * b[i]) + (w10 * c[i] + w11 * d[i]);
-                let sigma_foot = (w00 * sa[i] + w01 * sb[i]) + (w10 * sc[i] + w11 * sd[i]);
-                out[i] = rho_foot * exp(half * (sigma_foot + sigma[i]));
-            }
+            line(
+                [at + here, at + up, at - pitch + here, at - pitch + up].map(|i| &before[i..][..cols]),
+                [at + here, at + up, at - pitch + here, at - pitch + up].map(|i| &s_before[i..][..cols]),
+                sigma,
+                weights,
+                half,
+                out,
+            );
         }
+    }
+}
+
+/// One row of a layer. A function of its own, so that the compiler knows that nothing overlaps.
+#[inline(always)]
+fn line(rho: [&[f32]; 4], sigma_up: [&[f32]; 4], sigma: &[f32], w: [f32; 4], half: f32, out: &mut [f32]) {
+    let n = out.len();
+    let ([a, b, c, d], [sa, sb, sc, sd]) = (rho.map(|v| &v[..n]), sigma_up.map(|v| &v[..n]));
+    let sigma = &sigma[..n];
+    for i in 0..n {
+        let rho_foot = (w[0] * a[i] + w[1] * b[i]) + (w[2] * c[i] + w[3] * d[i]);
+        let sigma_foot = (w[0] * sa[i] + w[1] * sb[i]) + (w[2] * sc[i] + w[3] * sd[i]);
+        out[i] = rho_foot * exp(half * (sigma_foot + sigma[i]));
     }
 }
 
 /// Writes a swept brick back; returns the largest change on its downstream faces.
 #[inline(always)]
-fn scatter(axes: &Axes, size: [usize; 3], region: &Region, local: &Local, r: &[f32], rho: Shared) -> f32 {
+fn scatter(
+    axes: &Axes,
+    size: [usize; 3],
+    region: &Region,
+    local: &Local,
+    r: &[f32],
+    rho: Shared,
+    compare: bool,
+) -> f32 {
     let stride = [1, size[0], size[0] * size[1]];
     let (pitch, plane) = (local.pitch(), local.plane());
     let body = usize::from(local.col_forward);
@@ -316,36 +457,26 @@ fn scatter(axes: &Axes, size: [usize; 3], region: &Region, local: &Local, r: &[f
     for row in 1..=local.rows {
         let z = local.row_at(region, axes, row) as usize;
         let r = &r[row * pitch + body..];
-        let layer_of = |i: usize| if axes.ascending { i + 1 } else { local.layers - i };
-        let face = |c: usize| row == local.rows || c == last_col;
-        let full = local.layers / 8 * 8;
-        for c in 0..local.cols {
-            let old = own(z * stride[2] + (y_start + c) * stride[1] + x_start, local.layers);
-            if face(c) {
-                for (i, o) in old.iter().enumerate() {
-                    change = change.max((r[layer_of(i) * plane + c] - o).abs());
-                }
-            } else {
-                change = change.max((r[local.layers * plane + c] - old[last_x]).abs());
-            }
-            for i in full..local.layers {
-                old[i] = r[layer_of(i) * plane + c];
-            }
-            if c >= local.cols / 8 * 8 {
-                for i in 0..full {
-                    old[i] = r[layer_of(i) * plane + c];
+        if compare {
+            for c in 0..local.cols {
+                let old = own(z * stride[2] + (y_start + c) * stride[1] + x_start, local.layers);
+                if row == local.rows || c == last_col {
+                    for (i, o) in old.iter().enumerate() {
+                        change = change.max((r[local.layer_of(axes, i) * plane + c] - o).abs());
+                    }
+                } else {
+                    change = change.max((r[local.layers * plane + c] - old[last_x]).abs());
                 }
             }
         }
-        for c in (0..local.cols / 8 * 8).step_by(8) {
-            for i in (0..full).step_by(8) {
-                let tile: [[f32; 8]; 8] =
-                    std::array::from_fn(|i8| r[layer_of(i + i8) * plane + c..][..8].try_into().expect("8 values"));
-                for c8 in 0..8 {
-                    let line: [f32; 8] = std::array::from_fn(|i8| tile[i8][c8]);
-                    own(z * stride[2] + (y_start + c + c8) * stride[1] + x_start + i, 8).copy_from_slice(&line);
-                }
-            }
+        let base = z * stride[2] + y_start * stride[1] + x_start;
+        let step = if axes.ascending { plane as isize } else { -(plane as isize) };
+        assert!(base + (local.cols - 1) * stride[1] + local.layers <= rho.1);
+        let from = &r[..local.layers * plane + local.cols];
+        // SAFETY: `from` holds all layers of this row; the rows written are this brick's own, as `own` says.
+        unsafe {
+            let from = from.as_ptr().add(local.layer_of(axes, 0) * plane);
+            transpose(from, step, local.layers, local.cols, rho.0.add(base), stride[1] as isize);
         }
     }
     change

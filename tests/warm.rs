@@ -1,0 +1,117 @@
+//! Warm starts (validation.md 17): bitwise the cold result at tolerance 0, within the certified bound otherwise.
+
+use gloaming::device::cpu::Cpu;
+use gloaming::device::{Buffer, Device};
+use gloaming::light::Direct;
+use gloaming::{BrickLayout, Grid};
+use glam::Vec3;
+
+/// Extinction of blobs that drift, with structure in some bricks only.
+fn medium(grid: &Grid, t: f32) -> Vec<f32> {
+    let n = grid.size.map(|n| n as f32);
+    let blobs = [
+        (Vec3::new(0.3 + 0.002 * t, 0.4, 0.7), 0.10, 0.4),
+        (Vec3::new(0.7, 0.5 - 0.001 * t, 0.4 + 0.0015 * t), 0.15, 0.2),
+        (Vec3::new(0.2, 0.8, 0.2), 0.08, 0.5),
+    ];
+    let mut sigma = vec![0.0; grid.len()];
+    for k in 0..grid.size[2] {
+        for j in 0..grid.size[1] {
+            for i in 0..grid.size[0] {
+                let p = Vec3::new(i as f32 / n[0], j as f32 / n[1], k as f32 / n[2]);
+                let density: f32 = blobs.iter().map(|(c, r, s)| s * (1.0 - (p - *c).length() / r).max(0.0)).sum();
+                sigma[grid.index([i, j, k])] = density;
+            }
+        }
+    }
+    sigma
+}
+
+struct Series {
+    cpu: Cpu,
+    grid: Grid,
+    layout: BrickLayout,
+    now: Buffer,
+    before: Buffer,
+}
+
+impl Series {
+    fn new(edge: usize) -> Self {
+        let cpu = Cpu::new(2).unwrap();
+        let grid = Grid { size: [45, 40, 51], spacing: [1.0, 1.1, 0.9], origin: [0.0; 3] };
+        let (now, before) = (cpu.alloc(grid.len()).unwrap(), cpu.alloc(grid.len()).unwrap());
+        Series { layout: BrickLayout::new(grid.size, edge), cpu, grid, now, before }
+    }
+
+    fn set(&mut self, sigma: &[f32]) -> Vec<[f32; 3]> {
+        std::mem::swap(&mut self.now, &mut self.before);
+        self.cpu.upload(sigma, &mut self.now).unwrap();
+        self.cpu.change(&self.layout, &self.now, &self.before).unwrap()
+    }
+
+    fn direct(&self, u: Vec3) -> Direct {
+        Direct::new(&self.cpu, &self.grid, &self.layout, u, false).unwrap()
+    }
+
+    fn solve(&self, light: &mut Direct, change: Option<&[[f32; 3]]>, tolerance: f32) -> (gloaming::light::DirectReport, Vec<f32>) {
+        let report = light.solve(&self.cpu, &self.grid, &self.layout, &self.now, change, tolerance).unwrap();
+        let mut rho = vec![0.0; self.grid.len()];
+        self.cpu.download(&light.rho, &mut rho).unwrap();
+        (report, rho)
+    }
+}
+
+const LIGHTS: [[f32; 3]; 4] = [[0.3, 0.5, -0.8], [-1.0, 0.1, 0.2], [0.0, 0.0, 1.0], [0.4, -0.9, 0.1]];
+
+#[test]
+fn tolerance_zero_is_cold_to_the_bit() {
+    for edge in [8, 16] {
+        let mut series = Series::new(edge);
+        let mut kept: Vec<Direct> = LIGHTS.iter().map(|u| series.direct(Vec3::from(*u).normalize())).collect();
+        let mut skipped = 0;
+        for step in 0..12 {
+            let sigma = medium(&series.grid, step as f32);
+            let change = series.set(&sigma);
+            for (light, u) in kept.iter_mut().zip(LIGHTS) {
+                let (report, warm) = series.solve(light, (step > 0).then_some(&change), 0.0);
+                let (_, cold) = series.solve(&mut series.direct(Vec3::from(u).normalize()), None, 0.0);
+                assert!(warm.iter().zip(&cold).all(|(w, c)| w.to_bits() == c.to_bits()), "step {step}, light {u:?}");
+                assert_eq!(report.certified_error, 0.0);
+                skipped += report.bricks_total - report.bricks_active;
+            }
+        }
+        assert!(skipped > 0, "nothing was ever skipped with bricks of {edge}");
+    }
+}
+
+/// 120 drifting steps with a jump of the transfer function (σ doubled) and holes that come and go.
+#[test]
+fn the_certificate_holds_over_a_long_drift() {
+    for tolerance in [1e-2, 1e-3, 1e-4] {
+        let mut series = Series::new(8);
+        let mut kept: Vec<Direct> = LIGHTS.iter().map(|u| series.direct(Vec3::from(*u).normalize())).collect();
+        let (mut active, mut total) = (0, 0);
+        for step in 0..120 {
+            let mut sigma = medium(&series.grid, 0.02 * step as f32);
+            if step >= 50 {
+                sigma.iter_mut().for_each(|s| *s *= 2.0);
+            }
+            if step % 40 == 39 {
+                sigma[series.grid.len() / 2..series.grid.len() / 2 + 400].fill(0.0);
+            }
+            let change = series.set(&sigma);
+            for (light, u) in kept.iter_mut().zip(LIGHTS) {
+                let (report, warm) = series.solve(light, (step > 0).then_some(&change), tolerance);
+                let (_, cold) = series.solve(&mut series.direct(Vec3::from(u).normalize()), None, tolerance);
+                let error = warm.iter().zip(&cold).map(|(w, c)| (w - c).abs()).fold(0.0, f32::max);
+                assert!(error <= report.certified_error, "step {step}: off by {error}, certified {}", report.certified_error);
+                assert!(report.certified_error <= tolerance, "step {step}: certified only {}", report.certified_error);
+                if step > 0 {
+                    (active, total) = (active + report.bricks_active, total + report.bricks_total);
+                }
+            }
+        }
+        println!("tolerance {tolerance}: swept {active} of {total} bricks");
+        assert!(2 * active < total, "tolerance {tolerance}: swept {active} of {total} bricks");
+    }
+}
