@@ -34,7 +34,7 @@ impl Camera {
     }
 }
 impl Camera {
-    /// TEMP
+    /// Looks at the centre of the volume from its front.
     pub fn framed(_k: &crate::scene::CameraKeys, grid: &crate::Grid, _aspect: f64, _s: u64) -> crate::Result<Camera> {
         let (lo, hi) = grid.bounds();
         let c = ((lo + hi) * 0.5).as_vec3();

@@ -56,7 +56,8 @@ impl Medium {
         let holes = mark_holes(&mut self.host);
         self.host = device.exchange(std::mem::take(&mut self.host), &mut self.field)?;
         self.ranges = device.brick_range(&self.bricks, &self.field)?;
-        let (lo, hi) = self.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
+        let (lo, hi) =
+            self.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
         Ok((holes, (lo <= hi).then_some([lo, hi])))
     }
 

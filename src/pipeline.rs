@@ -92,12 +92,7 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress) -> Result<Sum
 }
 
 /// Opens one sink for each target.
-fn open_sinks(
-    scene: &Scene,
-    outputs: &[String],
-    steps: usize,
-    field: &str,
-) -> Result<Vec<Box<dyn Sink>>> {
+fn open_sinks(scene: &Scene, outputs: &[String], steps: usize, field: &str) -> Result<Vec<Box<dyn Sink>>> {
     let options = SinkOptions {
         steps,
         field: field.into(),

@@ -105,11 +105,8 @@ impl Session {
         }
         let render_ms = clock.lap();
 
-        let light = if self.wants_light {
-            Some(Arc::new(state.solver.illuminated(device, &state.light)?))
-        } else {
-            None
-        };
+        let light =
+            if self.wants_light { Some(Arc::new(state.solver.illuminated(device, &state.light)?)) } else { None };
         self.steps += 1;
         let row = LedgerRow {
             step: step.step,

@@ -1,10 +1,10 @@
 //! Warm starts (validation.md 17): bitwise the cold result at tolerance 0, within the certified bound otherwise.
 
+use glam::Vec3;
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device};
 use gloaming::light::Direct;
 use gloaming::{BrickLayout, Grid};
-use glam::Vec3;
 
 /// Extinction of blobs that drift, with structure in some bricks only.
 fn medium(grid: &Grid, t: f32) -> Vec<f32> {
@@ -53,7 +53,12 @@ impl Series {
         Direct::new(&self.cpu, &self.grid, &self.layout, u, false).unwrap()
     }
 
-    fn solve(&self, light: &mut Direct, change: Option<&[[f32; 3]]>, tolerance: f32) -> (gloaming::light::DirectReport, Vec<f32>) {
+    fn solve(
+        &self,
+        light: &mut Direct,
+        change: Option<&[[f32; 3]]>,
+        tolerance: f32,
+    ) -> (gloaming::light::DirectReport, Vec<f32>) {
         let report = light.solve(&self.cpu, &self.grid, &self.layout, &self.now, change, tolerance).unwrap();
         let mut rho = vec![0.0; self.grid.len()];
         self.cpu.download(&light.rho, &mut rho).unwrap();
@@ -104,7 +109,11 @@ fn the_certificate_holds_over_a_long_drift() {
                 let (report, warm) = series.solve(light, (step > 0).then_some(&change), tolerance);
                 let (_, cold) = series.solve(&mut series.direct(Vec3::from(u).normalize()), None, tolerance);
                 let error = warm.iter().zip(&cold).map(|(w, c)| (w - c).abs()).fold(0.0, f32::max);
-                assert!(error <= report.certified_error, "step {step}: off by {error}, certified {}", report.certified_error);
+                assert!(
+                    error <= report.certified_error,
+                    "step {step}: off by {error}, certified {}",
+                    report.certified_error
+                );
                 assert!(report.certified_error <= tolerance, "step {step}: certified only {}", report.certified_error);
                 if step > 0 {
                     (active, total) = (active + report.bricks_active, total + report.bricks_total);

@@ -20,7 +20,8 @@ pub fn copy_rate() -> f64 {
     let from = vec![1.0f32; LEN];
     let mut to = vec![0.0f32; LEN];
     let chunk = LEN / rayon::current_num_threads();
-    let seconds = best(5, || to.par_chunks_mut(chunk).zip(from.par_chunks(chunk)).for_each(|(t, f)| t.copy_from_slice(f)));
+    let seconds =
+        best(5, || to.par_chunks_mut(chunk).zip(from.par_chunks(chunk)).for_each(|(t, f)| t.copy_from_slice(f)));
     assert_eq!(to[LEN / 2], 1.0);
     8.0 * LEN as f64 / seconds
 }

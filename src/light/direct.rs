@@ -55,13 +55,7 @@ pub struct DirectReport {
 
 impl Direct {
     /// Allocates the state for light that travels along unit world direction `direction`.
-    pub fn new(
-        device: &dyn Device,
-        grid: &Grid,
-        layout: &BrickLayout,
-        direction: Vec3,
-        cubic: bool,
-    ) -> Result<Self> {
+    pub fn new(device: &dyn Device, grid: &Grid, layout: &BrickLayout, direction: Vec3, cubic: bool) -> Result<Self> {
         let sweep = Sweep::new(grid, direction, cubic);
         Ok(Direct {
             rho: device.alloc(grid.len())?,

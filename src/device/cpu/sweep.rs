@@ -69,7 +69,8 @@ pub(crate) fn sweep(
     let mut changes = Vec::with_capacity(listed);
     for front in fronts {
         let one = |&b: &u32| {
-            SCRATCH.with_borrow_mut(|scratch| brick(&axes, sweep, layout.region(b as usize), sigma, shared, scratch, true))
+            SCRATCH
+                .with_borrow_mut(|scratch| brick(&axes, sweep, layout.region(b as usize), sigma, shared, scratch, true))
         };
         if front.len() == 1 {
             changes.push(one(&front[0]));
@@ -144,7 +145,8 @@ fn block_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Sh
     };
     for l in 0..region.size[axes.layer] {
         let layer = if axes.ascending { region.start[axes.layer] + l } else { region.end()[axes.layer] - 1 - l };
-        let before = if axes.ascending { layer.checked_sub(1) } else { Some(layer + 1).filter(|&l| l < size[axes.layer]) };
+        let before =
+            if axes.ascending { layer.checked_sub(1) } else { Some(layer + 1).filter(|&l| l < size[axes.layer]) };
         for row in region.start[axes.row]..region.end()[axes.row] {
             let base = layer * stride[axes.layer] + row * stride[axes.row];
             let out = write(base);
@@ -245,7 +247,15 @@ dispatch! {
 }
 
 #[inline(always)]
-fn brick_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch, compare: bool) -> f32 {
+fn brick_body(
+    axes: &Axes,
+    sweep: &Sweep,
+    region: Region,
+    sigma: &[f32],
+    rho: Shared,
+    scratch: &mut Scratch,
+    compare: bool,
+) -> f32 {
     let local = Local {
         layers: region.size[axes.layer],
         rows: region.size[axes.row],
