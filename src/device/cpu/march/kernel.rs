@@ -1,0 +1,359 @@
+//! reads data, terms, table, distances → writes one tile of pixels.
+//!
+//! One body for every instruction set: generic over [`Lanes`].
+
+use glam::Vec3;
+
+use super::lanes::{Lanes, opacity};
+use super::plan::{Albedo, Column, Group, Lattice, Optics, Plan, Volume};
+use crate::device::{March, Phong, Weight};
+
+/// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
+pub(super) const TILE: usize = 16;
+/// Samples between two questions whether the bricks ahead are empty. Asking costs about a sixth of a sample; not asking
+/// costs the samples taken beyond the end of a brick.
+const RUN: usize = 4;
+
+/// Pixels of one tile, row by row.
+pub(super) type Tile = [[f32; 4]; TILE * TILE];
+
+/// Casts the rays of the tile whose first pixel is `first`.
+#[inline(always)]
+pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], out: &mut Tile) {
+    assert!(plan.reach <= V::REACH, "indices must fit");
+    let [w, h] = V::SHAPE;
+    let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
+    let mut lanes = [[0.0; 16]; 4];
+    for y in (0..TILE).step_by(h) {
+        for x in (0..TILE).step_by(w) {
+            let at = [first[0] + x, first[1] + y];
+            if at[0] >= plan.picture[0] || at[1] >= plan.picture[1] {
+                continue;
+            }
+            let rgba = packet::<V>(plan, at, &mut weights);
+            for (channel, lanes) in rgba.into_iter().zip(&mut lanes) {
+                channel.store(lanes);
+            }
+            for l in 0..w * h {
+                out[(y + l / w) * TILE + x + l % w] = std::array::from_fn(|c| lanes[c][l]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
+    a[0] * V::splat(b.x) + a[1] * V::splat(b.y) + a[2] * V::splat(b.z)
+}
+
+#[inline(always)]
+fn dots<V: Lanes>(a: [V; 3], b: [V; 3]) -> V {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Rays of a packet in index space; `t` is world length from where they enter the box.
+struct Rays<V> {
+    start: [V; 3],
+    /// Index length per world length.
+    slope: [V; 3],
+    /// Unit world direction.
+    direction: [V; 3],
+    length: V,
+    step: V,
+}
+
+impl<V: Lanes> Rays<V> {
+    #[inline(always)]
+    fn new(plan: &Plan, at: [usize; 2]) -> Self {
+        let [w, _] = V::SHAPE;
+        let [width, height] = plan.picture.map(|n| V::splat(n as f32));
+        let (one, two, half) = (V::splat(1.0), V::splat(2.0), V::splat(0.5));
+        let px = two * (V::from_fn(|l| (at[0] + l % w) as f32) + half) / width - one;
+        let py = two * (V::from_fn(|l| (at[1] + l / w) as f32) + half) / height - one;
+        let way: [V; 3] = std::array::from_fn(|a| {
+            V::splat(plan.forward[a]) + px * V::splat(plan.right[a]) - py * V::splat(plan.up[a])
+        });
+        let norm = dots(way, way).sqrt();
+        let direction = way.map(|d| d / norm);
+        let slope: [V; 3] = std::array::from_fn(|a| direction[a] * V::splat(plan.per_length[a]));
+
+        // Slabs. A component of nearly 0 counts as barely positive: neither 0/0 nor ∞·0 can arise.
+        let (mut near, mut far) = (V::splat(0.0), V::splat(f32::MAX));
+        for a in 0..3 {
+            let inverse = V::splat(1.0) / Self::nonzero(slope[a]);
+            let below = (V::splat(-0.5) - V::splat(plan.eye[a])) * inverse;
+            let above = (V::splat(plan.top[a]) - V::splat(plan.eye[a])) * inverse;
+            near = below.min(above).max(near);
+            far = below.max(above).min(far);
+        }
+        let length = far - near;
+        // Also turns a NaN into a ray that misses.
+        let length = V::select(V::splat(0.0).lt(length) & length.lt(V::splat(f32::MAX)), length, V::splat(0.0));
+        let near = V::select(V::splat(0.0).lt(length), near, V::splat(0.0));
+        let start = std::array::from_fn(|a| V::splat(plan.eye[a]) + near * slope[a]);
+        Rays { start, slope, direction, length, step: V::splat(plan.step) }
+    }
+
+    #[inline(always)]
+    fn nonzero(slope: V) -> V {
+        let tiny = V::splat(1e-20);
+        V::select(V::splat(0.0).max(slope).max(V::splat(0.0) - slope).lt(tiny), tiny, slope)
+    }
+
+    /// Index position in the middle of interval `n`, and the length of the interval; not positive beyond the end.
+    #[inline(always)]
+    fn sample(&self, n: V) -> ([V; 3], V) {
+        let t = n * self.step;
+        let ds = self.step.min(self.length - t);
+        let t = t + V::splat(0.5) * ds;
+        (std::array::from_fn(|a| self.start[a] + t * self.slope[a]), ds)
+    }
+}
+
+/// Where a position lies between values: index of the lower corner, weights of the upper and of the lower neighbours.
+struct Cell<V: Lanes> {
+    first: V::Int,
+    upper: [V; 3],
+    lower: [V; 3],
+}
+
+impl<V: Lanes> Cell<V> {
+    #[inline(always)]
+    fn new(lattice: &Lattice, position: [V; 3]) -> Self {
+        // `max` first: it turns a NaN into 0, so that indices stay inside whatever comes.
+        let clamped: [V; 3] = std::array::from_fn(|a| position[a].max(V::splat(0.0)).min(V::splat(lattice.last[a])));
+        let corner: [V::Int; 3] = std::array::from_fn(|a| clamped[a].min(V::splat(lattice.last_cell[a])).trunc());
+        let upper: [V; 3] = std::array::from_fn(|a| clamped[a] - V::float(corner[a]));
+        Cell { first: V::linear(corner, lattice.stride), upper, lower: upper.map(|f| V::splat(1.0) - f) }
+    }
+
+    /// `a·lower + b·upper`: unlike `a + (b − a)·upper` exact at both ends, also beside a hole.
+    #[inline(always)]
+    fn mix(&self, axis: usize, (a, b): (V, V)) -> V {
+        a * self.lower[axis] + b * self.upper[axis]
+    }
+
+    /// Trilinear interpolation.
+    #[inline(always)]
+    fn value(&self, lattice: &Lattice, volume: &Volume) -> V {
+        let p = volume.as_ptr();
+        let [y, z, yz] = lattice.corners;
+        // SAFETY: a cell's lower corner is at most last_cell along each axis, so that the corners' offsets (0 along an axis
+        // with one value; rows have at least two) stay inside; `tile` has checked REACH.
+        let rows = unsafe {
+            [
+                V::pairs(p, self.first),
+                V::pairs(p.add(y), self.first),
+                V::pairs(p.add(z), self.first),
+                V::pairs(p.add(yz), self.first),
+            ]
+        };
+        let [a, b, c, d] = rows.map(|pair| self.mix(0, pair));
+        self.mix(2, (self.mix(1, (a, b)), self.mix(1, (c, d))))
+    }
+}
+
+/// Where a value lies between entries of the table.
+struct Entry<V: Lanes> {
+    first: V::Int,
+    upper: V,
+    lower: V,
+}
+
+impl<V: Lanes> Entry<V> {
+    #[inline(always)]
+    fn new(optics: &Optics, value: V) -> Self {
+        let at = ((value - V::splat(optics.lo)) * V::splat(optics.scale)).max(V::splat(0.0)).min(V::splat(optics.last));
+        let first = at.min(V::splat(optics.last - 1.0)).trunc();
+        let upper = at - V::float(first);
+        Entry { first, upper, lower: V::splat(1.0) - upper }
+    }
+
+    #[inline(always)]
+    fn of(&self, column: &Column) -> V {
+        // SAFETY: `first` is at most the last entry but one, and all columns have the same length, at least 2.
+        let (a, b) = unsafe { V::pairs(column.as_ptr(), self.first) };
+        a * self.lower + b * self.upper
+    }
+}
+
+/// Data value → extinction; 0 in holes.
+#[inline(always)]
+fn extinction<V: Lanes>(optics: &Optics, value: V) -> V {
+    let sigma = Entry::new(optics, value).of(&optics.extinction);
+    V::select(value.lt(V::splat(crate::field::HOLE)), V::splat(0.0), sigma)
+}
+
+/// Weight of a term for each ray and channel.
+#[inline(always)]
+fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
+    match *weight {
+        Weight::Uniform(rgb) => rgb.map(V::splat),
+        Weight::Phase { direction: travel, irradiance, g } => {
+            // Henyey–Greenstein: (1 − g²) / (4π (1 + g² − 2g cos θ)^1.5), the way to the eye being −direction.
+            let cos = V::splat(0.0) - dot(direction, travel);
+            let s = (V::splat(1.0 + g * g) - V::splat(2.0 * g) * cos).max(V::splat(1e-12));
+            let p = V::splat((1.0 - g * g) / (4.0 * std::f32::consts::PI)) / (s * s.sqrt());
+            irradiance.map(|e| V::splat(e) * p)
+        }
+        Weight::Current { axis, weight } => {
+            let to_eye = V::splat(0.0) - direction[axis];
+            weight.map(|w| V::splat(w) * to_eye)
+        }
+    }
+}
+
+/// `Σ weight·value` of all terms at a position.
+#[inline(always)]
+fn in_scatter<V: Lanes>(groups: &[Group], weights: &[[V; 3]], position: [V; 3], cell: &Cell<V>) -> [V; 3] {
+    let mut sum = [V::splat(0.0); 3];
+    let mut weights = weights.iter();
+    for group in groups {
+        let lattice = &group.lattice;
+        let own;
+        let cell = if group.with_data {
+            cell
+        } else {
+            own = Cell::new(
+                lattice,
+                std::array::from_fn(|a| position[a] * V::splat(lattice.scale[a]) + V::splat(lattice.shift[a])),
+            );
+            &own
+        };
+        for ((volume, _), weight) in group.terms.iter().zip(&mut weights) {
+            let value = cell.value(lattice, volume);
+            sum = std::array::from_fn(|c| sum[c] + weight[c] * value);
+        }
+    }
+    sum.map(|s| s.max(V::splat(0.0)))
+}
+
+/// Factor on in-scattered radiance: see [`Phong`].
+#[inline(always)]
+fn shade<V: Lanes>(plan: &Plan, phong: &Phong, direction: [V; 3], position: [V; 3], sigma: V) -> V {
+    let at = |axis: usize, offset: f32| {
+        let mut position = position;
+        position[axis] = position[axis] + V::splat(offset);
+        extinction(&plan.optics, Cell::new(&plan.lattice, position).value(&plan.lattice, &plan.data))
+    };
+    let gradient: [V; 3] = std::array::from_fn(|a| (at(a, 1.0) - at(a, -1.0)) * V::splat(0.5 * plan.per_length[a]));
+    let steepness = dots(gradient, gradient).sqrt();
+    let per_steepness = V::splat(-1.0) / steepness.max(V::splat(1e-20));
+    let normal = gradient.map(|g| g * per_steepness);
+
+    let light = phong.towards_light;
+    let half: [V; 3] = std::array::from_fn(|a| V::splat(light[a]) - direction[a]);
+    let zero = V::splat(0.0);
+    let lambert = dot(normal, light).max(zero);
+    let cos = (dots(normal, half) / dots(half, half).sqrt().max(V::splat(1e-20))).max(zero);
+    let mut highlight = [0.0; 16];
+    cos.store(&mut highlight);
+    let highlight = V::from_fn(|l| highlight[l].powf(phong.shininess));
+
+    let lit = V::splat(phong.ambient) + V::splat(phong.diffuse) * lambert + V::splat(phong.specular) * highlight;
+    let edge = steepness * V::splat(plan.spacing);
+    let gate = edge / (edge + sigma).max(V::splat(1e-20));
+    V::splat(1.0) + gate * (lit - V::splat(1.0))
+}
+
+/// First sample at or after `n` that may see something; beyond the end of the ray if there is none.
+#[inline(always)]
+fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
+    let Some(empty) = &plan.empty else { return n };
+    let per_step = V::splat(1.0 / plan.step);
+    let beyond = rays.length * per_step + V::splat(2.0);
+    loop {
+        let (position, ds) = rays.sample(n);
+        // The brick of the cell that the sample reads, so that rounding cannot put a sample into the wrong brick.
+        let brick: [V::Int; 3] = std::array::from_fn(|a| {
+            let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.lattice.last_cell[a])).trunc();
+            ((V::float(cell) + V::splat(0.5)) * V::splat(empty.per_edge)).trunc()
+        });
+        // SAFETY: cells are inside the grid, so their bricks are inside the layout.
+        let distance = unsafe { V::gather(empty.as_ptr(), V::linear(brick, empty.stride)) };
+        let skipping = live & V::splat(0.0).lt(ds) & V::splat(0.5).lt(distance);
+        if !V::any(skipping) {
+            return n;
+        }
+        // Leave the cube of empty bricks around this one.
+        let mut t = V::splat(f32::MAX);
+        for a in 0..3 {
+            let slope = Rays::nonzero(rays.slope[a]);
+            let brick = V::float(brick[a]);
+            let (up, down) = (brick + distance, brick - distance + V::splat(1.0));
+            let plane = V::select(slope.lt(V::splat(0.0)), down, up) * V::splat(empty.edge);
+            t = ((plane - rays.start[a]) / slope).min(t);
+        }
+        // Samples up to `last` are inside by more than rounding errors.
+        let last = t * per_step - V::splat(0.51) - n * V::splat(1e-6);
+        let next = V::float(last.max(V::splat(0.0)).min(beyond).trunc()) + V::splat(1.0);
+        n = V::select(skipping, next.max(n + V::splat(1.0)), n);
+    }
+}
+
+/// Radiance and coverage of a packet of rays.
+#[inline(always)]
+fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 4] {
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let mut radiance = [zero; 3];
+    let mut transmittance = one;
+    let rays = Rays::<V>::new(plan, at);
+    let mut live = zero.lt(rays.length);
+    if !V::any(live) {
+        return [zero; 4];
+    }
+    let terms = plan.groups.iter().flat_map(|group| &group.terms);
+    for (lanes, (_, of)) in weights.iter_mut().zip(terms) {
+        *lanes = weight(of, rays.direction);
+    }
+
+    let optics = &plan.optics;
+    let mut n = zero;
+    loop {
+        n = skip(plan, &rays, n, live);
+        live = live & zero.lt(rays.length - n * rays.step);
+        if !V::any(live) {
+            break;
+        }
+        for _ in 0..RUN {
+            let (position, ds) = rays.sample(n);
+            n = n + one;
+            let cell = Cell::new(&plan.lattice, position);
+            let value = cell.value(&plan.lattice, &plan.data);
+            let entry = Entry::new(optics, value);
+            let inside = live & zero.lt(ds) & V::splat(crate::field::HOLE).lt(value);
+            let sigma = V::select(inside, entry.of(&optics.extinction), zero);
+            let seen = zero.lt(sigma);
+            if !V::any(seen) && optics.emission.is_none() {
+                continue;
+            }
+            let alpha = opacity(sigma * ds);
+            let opaque = transmittance * alpha;
+            if V::any(seen) {
+                let mut source = in_scatter(&plan.groups, weights, position, &cell);
+                if let Some(phong) = &plan.phong {
+                    let factor = shade(plan, phong, rays.direction, position, sigma);
+                    source = source.map(|s| s * factor);
+                }
+                let scattered = match &optics.albedo {
+                    Albedo::Constant(albedo) => std::array::from_fn(|c| source[c] * V::splat(albedo[c])),
+                    Albedo::Gray(column) => {
+                        let albedo = entry.of(column);
+                        source.map(|s| s * albedo)
+                    }
+                    Albedo::Rgb(columns) => std::array::from_fn(|c| source[c] * entry.of(&columns[c])),
+                };
+                radiance = std::array::from_fn(|c| radiance[c] + opaque * scattered[c]);
+            }
+            if let Some(emission) = &optics.emission {
+                let thin = sigma * ds;
+                let path = V::select(V::splat(1e-20).lt(thin), alpha / sigma, V::select(inside, ds, zero));
+                let glow = transmittance * path;
+                radiance = std::array::from_fn(|c| radiance[c] + glow * entry.of(&emission[c]));
+            }
+            transmittance = transmittance - opaque;
+            live = live & V::splat(March::OPAQUE).lt(transmittance);
+        }
+    }
+    [radiance[0], radiance[1], radiance[2], one - transmittance]
+}

@@ -1,0 +1,212 @@
+//! What all rays of a picture share: the march in index space, with everything that does not depend on the pixel computed.
+
+use std::borrow::Cow;
+
+use glam::{DVec3, Vec3};
+
+use super::empty::Distances;
+use crate::device::cpu::host;
+use crate::device::{March, Phong, Weight};
+use crate::transfer::Table;
+
+/// A dense array that can be interpolated: at least two values along x, so that neighbours along x are read as pairs.
+pub(super) struct Volume<'a> {
+    values: Cow<'a, [f32]>,
+}
+
+impl<'a> Volume<'a> {
+    fn new(values: &'a [f32], size: [usize; 3]) -> Self {
+        let len = size.iter().product();
+        assert!(values.len() >= len, "{} values for a grid of {len}", values.len());
+        let values = match size[0] {
+            1 => Cow::Owned(values[..len].iter().flat_map(|&v| [v, v]).collect()),
+            _ => Cow::Borrowed(&values[..len]),
+        };
+        Volume { values }
+    }
+
+    pub fn as_ptr(&self) -> *const f32 {
+        self.values.as_ptr()
+    }
+}
+
+/// Where the values of a volume of some size are found: shared by all volumes of that size.
+pub(super) struct Lattice {
+    /// Index of the last value along each axis: positions are clamped to 0..=last.
+    pub last: [f32; 3],
+    /// Index of the last cell (pair of neighbours) along each axis.
+    pub last_cell: [f32; 3],
+    /// Values from one row, and from one slice, to the next.
+    pub stride: [usize; 2],
+    /// To the neighbour along y, along z, and along both; 0 along an axis with a single value.
+    pub corners: [usize; 3],
+    /// Position on this lattice = scale·(position on the data's lattice) + shift.
+    pub scale: [f32; 3],
+    pub shift: [f32; 3],
+}
+
+impl Lattice {
+    fn new(size: [usize; 3], data: [usize; 3]) -> Self {
+        let row = size[0].max(2);
+        let stride = [row, row * size[1]];
+        let [y, z] = [1, 2].map(|a| if size[a] > 1 { stride[a - 1] } else { 0 });
+        let scale: [f64; 3] = std::array::from_fn(|a| size[a] as f64 / data[a] as f64);
+        Lattice {
+            last: size.map(|n| (n - 1) as f32),
+            last_cell: size.map(|n| n.saturating_sub(2) as f32),
+            stride,
+            corners: [y, z, y + z],
+            scale: scale.map(|s| s as f32),
+            shift: scale.map(|s| (0.5 * s - 0.5) as f32),
+        }
+    }
+}
+
+/// Terms on grids of one size: they share cells and weights.
+pub(super) struct Group<'a> {
+    pub lattice: Lattice,
+    /// The same size as the data: the data's cell is used.
+    pub with_data: bool,
+    pub terms: Vec<(Volume<'a>, Weight)>,
+}
+
+/// One column of the transfer function, at least two entries long.
+pub(super) struct Column(Vec<f32>);
+
+impl Column {
+    fn new(entries: impl Iterator<Item = f32>) -> Self {
+        let mut entries: Vec<f32> = entries.collect();
+        entries.resize(entries.len().max(2), entries.last().copied().unwrap_or(0.0));
+        Column(entries)
+    }
+
+    pub fn as_ptr(&self) -> *const f32 {
+        self.0.as_ptr()
+    }
+}
+
+/// Albedo as it is looked up.
+pub(super) enum Albedo {
+    Constant([f32; 3]),
+    Gray(Column),
+    Rgb([Column; 3]),
+}
+
+/// The transfer function as columns.
+pub(super) struct Optics {
+    pub lo: f32,
+    /// Entries per unit of value.
+    pub scale: f32,
+    /// Last entry.
+    pub last: f32,
+    pub extinction: Column,
+    pub albedo: Albedo,
+    pub emission: Option<[Column; 3]>,
+}
+
+impl Optics {
+    fn new(table: &Table) -> Self {
+        let extinction = Column::new(table.extinction.iter().copied());
+        let last = (extinction.0.len() - 1) as f32;
+        let columns = |rgb: &[[f32; 3]]| {
+            // Shorter columns than the extinction's would be read beyond their end.
+            assert_eq!(rgb.len(), table.extinction.len(), "columns of a table have one length");
+            std::array::from_fn(|c| Column::new(rgb.iter().map(|e| e[c])))
+        };
+        let albedo = match table.constant_albedo() {
+            Some(albedo) => Albedo::Constant(albedo),
+            None => {
+                let rgb: [Column; 3] = columns(&table.albedo);
+                if table.gray() {
+                    Albedo::Gray(rgb.into_iter().next().expect("three columns"))
+                } else {
+                    Albedo::Rgb(rgb)
+                }
+            }
+        };
+        let glows = table.emission.iter().flatten().any(|&e| e != 0.0);
+        Optics {
+            lo: table.lo,
+            scale: table.scale() * last,
+            last,
+            extinction,
+            albedo,
+            emission: glows.then(|| columns(&table.emission)),
+        }
+    }
+}
+
+/// A march, ready for rays.
+pub(super) struct Plan<'a> {
+    /// Pixels along x and y.
+    pub picture: [usize; 2],
+    /// Eye in index space.
+    pub eye: Vec3,
+    pub forward: Vec3,
+    /// Half a picture to the right, and upwards.
+    pub right: Vec3,
+    pub up: Vec3,
+    /// Index length of a world length, along each axis.
+    pub per_length: Vec3,
+    /// Upper corner of the box in index space; the lower one is −½.
+    pub top: [f32; 3],
+    pub step: f32,
+    pub lattice: Lattice,
+    pub data: Volume<'a>,
+    pub optics: Optics,
+    pub groups: Vec<Group<'a>>,
+    pub terms: usize,
+    pub empty: Option<Distances>,
+    pub phong: Option<Phong>,
+    /// Mean spacing.
+    pub spacing: f32,
+    /// The longest array that a packet addresses.
+    pub reach: usize,
+}
+
+impl<'a> Plan<'a> {
+    /// `None` when there is nothing to see: no values, no pixels.
+    pub fn new(march: &'a March, picture: [usize; 2]) -> Option<Self> {
+        let grid = march.grid;
+        if grid.is_empty() || picture.contains(&0) {
+            return None;
+        }
+        let (spacing, origin) = (DVec3::from(grid.spacing), DVec3::from(grid.origin));
+        let (lo, hi) = grid.bounds();
+        let camera = march.camera;
+        let tan = camera.tan * Vec3::new(picture[0] as f32 / picture[1] as f32, 1.0, 0.0);
+
+        let mut groups: Vec<Group> = Vec::new();
+        let mut reach = grid.len();
+        for term in march.terms {
+            let size = term.grid.size;
+            reach = reach.max(term.grid.len());
+            let entry = (Volume::new(host(term.values), size), term.weight);
+            let lattice = Lattice::new(size, grid.size);
+            match groups.iter_mut().find(|g| g.lattice.last == lattice.last) {
+                Some(group) => group.terms.push(entry),
+                None => groups.push(Group { lattice, with_data: size == grid.size, terms: vec![entry] }),
+            }
+        }
+
+        Some(Plan {
+            picture,
+            eye: ((camera.eye.as_dvec3() - origin) / spacing).as_vec3(),
+            forward: camera.forward,
+            right: camera.right * tan.x,
+            up: camera.up * tan.y,
+            per_length: spacing.recip().as_vec3(),
+            top: grid.size.map(|n| n as f32 - 0.5),
+            step: march.step.max((1e-6 * (hi - lo).length()) as f32),
+            lattice: Lattice::new(grid.size, grid.size),
+            data: Volume::new(host(march.field), grid.size),
+            optics: Optics::new(march.table),
+            groups,
+            terms: march.terms.len(),
+            empty: Distances::new(&march.bricks, march.majorant),
+            phong: march.phong,
+            spacing: grid.mean_spacing() as f32,
+            reach: 2 * reach,
+        })
+    }
+}
