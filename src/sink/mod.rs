@@ -5,6 +5,7 @@
 //! | `movie.mp4` | one movie per camera | frames, with background, exposure, tone map, overlay |
 //! | `frames/frame_{step:06}.png` | 8-bit pictures | frames, with background, exposure, tone map, overlay |
 //! | `frames/frame_{step:06}.exr` | scene-linear pictures | frames as rendered |
+//! | `light.vtkhdf` | temporal VTKHDF ImageData | the illuminated volume |
 //!
 //! Folders are created. A file appears under its final name only when it is whole: what takes one step is written beside
 //! it and renamed; what takes all steps grows under a name with `.partial` in it until [`Sink::finish`].
@@ -24,6 +25,7 @@ pub mod exr;
 mod mp4;
 mod png;
 mod template;
+mod vtkhdf;
 mod whole;
 mod yuv;
 
@@ -159,7 +161,7 @@ impl SinkOptions {
     }
 }
 
-const KNOWN: &str = ".mp4, .png, .exr";
+const KNOWN: &str = ".mp4, .png, .exr, .vtkhdf";
 
 /// Opens the sink for an output path, by its extension. See the table of this [module](self).
 ///
@@ -188,6 +190,12 @@ pub fn open(target: &str, options: &SinkOptions) -> Result<Box<dyn Sink>> {
             whole::writable_folder(&template.folder())?;
             Ok(Box::new(mp4::Mp4::new(template, options)?))
         }
+        "vtkhdf" => {
+            one_file_for_all_steps(&template)?;
+            no_camera(&template)?;
+            whole::writable_folder(&template.folder())?;
+            Ok(Box::new(vtkhdf::VtkHdf::new(template, options)))
+        }
         "" => Err(Error::format(target, "no extension, which picks the format", format!("one of {KNOWN}"))),
         other => Err(Error::format(target, format!("unknown output format `.{other}`"), format!("one of {KNOWN}"))),
     }
@@ -210,6 +218,14 @@ fn one_file_for_all_steps(template: &Template) -> Result<()> {
     }
     let remedy = format!("--out {}", template.without_step().display());
     Err(Error::format(template.text(), "this format takes all steps into one file", remedy))
+}
+
+fn no_camera(template: &Template) -> Result<()> {
+    if !template.has_camera() {
+        return Ok(());
+    }
+    let remedy = format!("--out {}", template.text().replace("_{camera}", "").replace("{camera}", "light"));
+    Err(Error::format(template.text(), "the illuminated volume is the same for all cameras", remedy))
 }
 
 fn one_file_per_camera(template: &Template, options: &SinkOptions) -> Result<()> {

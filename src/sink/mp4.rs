@@ -91,7 +91,7 @@ impl Movie {
     fn new(path: PathBuf, first: &RgbImage, options: &SinkOptions) -> Result<Self> {
         let size = [first.width(), first.height()];
         let (long, short) = (size[0].max(size[1]), size[0].min(size[1]));
-        if long > 3840 || short > 2160 || short < 16 {
+        if long > 3840 || !(16..=2160).contains(&short) {
             return Err(Error::Unsupported(format!(
                 "{}: a movie of {}x{}: H.264 here takes 16x16 to 3840x2160 or 2160x3840\n  try: --size 3840x2160, or PNG frames",
                 path.display(),

@@ -43,6 +43,23 @@ pub(crate) fn partial_name(path: &Path) -> PathBuf {
     path.with_extension(format!("partial.{extension}"))
 }
 
+/// Sets `bytes` aside from byte `end` of a file, so that a full disk is found before a format's own library is half-way
+/// through changing it. File systems that cannot do so are taken at their word.
+pub(crate) fn reserve(path: &Path, end: u64, bytes: u64) -> Result<()> {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{FallocateFlags, fallocate};
+        use rustix::io::Errno;
+        let file = File::options().write(true).open(path).map_err(|e| Error::io(path, e))?;
+        if let Err(e @ (Errno::NOSPC | Errno::DQUOT | Errno::FBIG)) =
+            fallocate(&file, FallocateFlags::empty(), end, bytes)
+        {
+            return Err(Error::io(path, e));
+        }
+    }
+    Ok(())
+}
+
 fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".gloaming-");
