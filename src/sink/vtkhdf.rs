@@ -1,9 +1,8 @@
 //! VTKHDF: the illuminated volume of all steps in one file, which ParaView opens.
 //!
-//! Temporal ImageData, version 2.2 of the format: `/VTKHDF/PointData/fluence` is (t, z, y, x, rgb) in f32,
-//! `Steps/Values` holds physical time (the step number where time is not known) and `/step` the simulation's step
-//! numbers. Chunks are whole volumes or slabs of them. While there is one step only, the array is (z, y, x, rgb): VTK 9.7
-//! takes a file with `NSteps` = 1 for one without time.
+//! Temporal ImageData, version 2.2 of the format: `/VTKHDF/PointData/fluence` is (t, z, y, x, rgb) in f32, `Steps/Values`
+//! holds physical time (the step number where time is not known) and `/step` the simulation's step numbers. While there
+//! is one step only, the array is (z, y, x, rgb): VTK 9.7 takes a file with `NSteps` = 1 for one without time.
 //!
 //! The file grows as `light.partial.vtkhdf` and is flushed after each step: a run that is killed leaves what it did.
 
@@ -12,7 +11,7 @@ use std::sync::Arc;
 
 use hdf5::types::FixedAscii;
 use hdf5::{Dataset, Extent, Group, H5Type};
-use ndarray::s;
+use ndarray::{Axis, s};
 
 use super::template::Template;
 use super::whole::{folder_of, partial_name, reserve};
@@ -113,8 +112,12 @@ struct Series {
 }
 
 impl Series {
-    /// Bytes of a chunk at most: HDF5 holds chunks below 4 GiB, and readers take one at a time.
-    const CHUNK: usize = 64 << 20;
+    /// Bytes of a chunk at most, where a slice is not larger. Each is one call, so that a source that waits for the lock of
+    /// the HDF5 library gets its turn in between.
+    const CHUNK: usize = 4 << 20;
+    /// Bytes of a volume up to which it is compressed: gzip 1 with shuffle takes 10 ms per MB (96³ smoke: to a twentieth),
+    /// too long for a step of a large one.
+    const COMPRESSED: usize = 32 << 20;
     /// Bytes that a step may need for what is not its values.
     const SLACK: usize = 64 << 10;
 
@@ -161,6 +164,12 @@ impl Series {
         Ok(())
     }
 
+    /// Slices of a chunk.
+    fn slab(&self) -> usize {
+        let [nx, ny, nz] = self.grid.size;
+        (Self::CHUNK / (12 * nx * ny)).clamp(1, nz)
+    }
+
     /// Writes the volume of step `at` of `steps`.
     fn put(&mut self, at: usize, steps: usize, light: &Arc<IlluminatedVolume>) -> hdf5::Result<()> {
         let [nx, ny, nz] = self.grid.size;
@@ -175,10 +184,12 @@ impl Series {
                 self.fluence = Fluence::Still(Some(light.clone()));
                 return Ok(());
             }
-            let slab = (Self::CHUNK / (12 * nx * ny)).clamp(1, nz);
             let dims = [nz, ny, nx, 3].map(Extent::fixed);
             let shape = [&[Extent::resizable(steps)], &dims[..]].concat();
-            let builder = self.points.new_dataset::<f32>().chunk((1, slab, ny, nx, 3));
+            let mut builder = self.points.new_dataset::<f32>().chunk((1, self.slab(), ny, nx, 3));
+            if 12 * self.grid.len() <= Self::COMPRESSED {
+                builder = builder.shuffle().deflate(1);
+            }
             self.fluence = Fluence::Temporal(builder.shape(shape).create("fluence")?);
             self.put(0, steps, &before.expect("the first of two steps"))?;
         }
@@ -186,7 +197,10 @@ impl Series {
             dataset.resize((steps, nz, ny, nx, 3))?;
             let volume = ndarray::ArrayView4::from_shape((nz, ny, nx, 3), values_of(light));
             let volume = volume.map_err(|e| hdf5::Error::Internal(e.to_string()))?;
-            dataset.write_slice(volume, s![at, .., .., .., ..])?;
+            for (n, slab) in volume.axis_chunks_iter(Axis(0), self.slab()).enumerate() {
+                let from = n * self.slab();
+                dataset.write_slice(slab, s![at, from..from + slab.len_of(Axis(0)), .., .., ..])?;
+            }
         }
         Ok(())
     }
