@@ -276,11 +276,3 @@ mod tests {
         assert!(matches!(Camera::check_names(&names), Err(Error::Scene { key, .. }) if key == "cameras.name"));
     }
 }
-impl Camera {
-    /// Looks at the centre of the volume from its front.
-    pub fn framed(_k: &crate::scene::CameraKeys, grid: &crate::Grid, _aspect: f64, _s: u64) -> crate::Result<Camera> {
-        let (lo, hi) = grid.bounds();
-        let c = ((lo + hi) * 0.5).as_vec3();
-        Ok(Camera::look_at(c + Vec3::new(0.3, -2.5, 0.6) * (hi - lo).as_vec3().x, c, Vec3::Z, 35.0))
-    }
-}
