@@ -129,7 +129,9 @@ pub struct Ordinate {
 
 /// One pass of transport along every ordinate, one colour channel:
 /// `I = I_up e^−τ + w₀ S + w₁ S_up`, accumulated into `φ = Σ w I` and `J = Σ w Ω I`
-/// (light.md, first-collision-source ordinates).
+/// (light.md, first-collision-source ordinates). I, σ and S at the foot are bilinear in the layer before. Outside the grid
+/// σ = 0 and I = S = the inflow, so that inflow and S equal to 1 give I = 1 everywhere (the white furnace); the first layer
+/// is reached after half a step, with the S of the voxel itself.
 pub struct Transport<'a> {
     /// The light grid.
     pub grid: &'a Grid,
@@ -250,6 +252,10 @@ impl March<'_> {
     pub const OPAQUE: f32 = 1e-4;
 }
 
+/// Extinction just outside the medium (see [`Device::extend`]), per world length: far too little to dim anything in a
+/// volume of up to 10¹⁰ world lengths, and far above what f32 cannot hold.
+pub const FAINT: f32 = 1e-18;
+
 /// Where kernels run.
 pub trait Device: Send + Sync {
     /// Name for people: `cpu (AVX-512, 2 threads)` or the adapter's name.
@@ -317,6 +323,54 @@ pub trait Device: Send + Sync {
         phi: &mut Buffer,
         current: Option<[&mut Buffer; 3]>,
     ) -> Result<(f32, f32)>;
+
+    /// `Σ weight·values` into `out`: zeros without terms, a copy with one term of weight 1.
+    fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
+        let mut sum = vec![0.0; out.len()];
+        let mut values = vec![0.0; out.len()];
+        for (buffer, weight) in terms {
+            self.download(buffer, &mut values)?;
+            sum.iter_mut().zip(&values).for_each(|(s, v)| *s += weight * v);
+        }
+        self.upload(&sum, out)
+    }
+
+    /// Inner product, summed in f64.
+    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
+        let [a, b] = self.both(a, b)?;
+        Ok(a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum())
+    }
+
+    /// Largest `|a − b|`.
+    fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        let [a, b] = self.both(a, b)?;
+        Ok(a.iter().zip(&b).fold(0.0, |m, (a, b)| m.max((a - b).abs())))
+    }
+
+    /// Largest `a / b` over the values where b > 0; 0 where there are none.
+    fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        let [a, b] = self.both(a, b)?;
+        Ok(a.iter().zip(&b).fold(0.0, |m, (a, b)| if *b > 0.0 { m.max(a / b) } else { m }))
+    }
+
+    /// Continues a coefficient of the medium (scattering, emission, extinction itself) past the medium's edges in
+    /// proportion to its extinction: where σ = 0 but some of the 26 neighbours have σ > 0, `out = Σvalues/Σσ ·`
+    /// [`FAINT`] over them; elsewhere `out = values`. So S = values/σ is defined wherever it is interpolated.
+    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
+        let [sigma, values] = self.both(sigma, values)?;
+        let mut extended = vec![0.0; out.len()];
+        cpu::extend::extend(size, &sigma, &values, &mut extended);
+        self.upload(&extended, out)
+    }
+
+    /// Both volumes on the host.
+    #[doc(hidden)]
+    fn both(&self, a: &Buffer, b: &Buffer) -> Result<[Vec<f32>; 2]> {
+        let mut out = [vec![0.0; a.len()], vec![0.0; b.len()]];
+        self.download(a, &mut out[0])?;
+        self.download(b, &mut out[1])?;
+        Ok(out)
+    }
 
     /// `Σ weight_i · volume_i` per channel into interleaved RGB on the host: the illuminated volume. All volumes have
     /// `out.len()` values.

@@ -1,20 +1,48 @@
-//! Scattered light by first-collision-source discrete ordinates.
+//! Scattered light by first-collision-source discrete ordinates (light.md):
+//!
+//! `Ω·∇I + σ* I = σ* S`, `S = ω*/4π · [φ + ΣE_l + 3g* Ω·(J + ΣE_l u_l)] + emission`, `φ = Σ w I`, `J = Σ w Ω I`
+//!
+//! with delta-Eddington scaling (Joseph, Wiscombe & Weinman 1976, eq. 5–6) `f = g²`, `σ* = σ_t (1 − ωf)`,
+//! `ω* = ω(1 − f)/(1 − ωf)`, `g* = g/(1 + g)`. The direct light E_l is given; what is solved for is the scattered light and
+//! the uncollided light of the environment and of emission.
+//!
+//! # When to stop
+//!
+//! One pass maps x = (φ, J) to Φ(x). The scheme makes every radiance a convex combination of inflow and source functions,
+//! so a change of S by at most s changes I by at most s. With `R = ‖δφ‖ + 3g*‖δJ‖` (maximum norm) the change that a pass
+//! made, Φ(x) differs from the solution by at most
+//!
+//! `ω R / (1 − κω)`, ω the largest ω*, `κ = max_Ω Σ_Ω' w'/4π |1 + 3g* Ω·Ω'|` (1 unless g > ½),
+//!
+//! however x was found, so acceleration and guesses need no proof of their own. Where ω* comes near 1 that is too
+//! pessimistic, for light also leaks out: then u = Φ(u) is solved roughly for a unit fluence of first collisions
+//! everywhere, and the error is at most `R · max u' / (1 − R_u)`, u' = Φ(u) and R_u the change that this pass made (A is an
+//! M-matrix; needs g ≤ ½). Certified errors are relative to the largest of φ and ΣE_l, up to rounding.
 
 use glam::Vec3;
 
-use crate::device::{Buffer, Device, Term};
+use crate::device::{Buffer, Device, Ordinate, Term, Weight};
 use crate::error::Result;
 use crate::grid::Grid;
 
-/// What scattered light is solved for.
+mod anderson;
+mod equation;
+mod iterate;
+mod quadrature;
+
+use anderson::Anderson;
+use equation::{Equation, Residual, State, Work};
+pub use quadrature::ordinates;
+
+/// What scattered light is solved for. All volumes are on the grid of [`Scattered`].
 pub struct ScatterProblem<'a> {
-    /// Delta-scaled extinction.
+    /// Delta-scaled extinction σ*, per world length.
     pub sigma: &'a Buffer,
-    /// Scattering coefficient `ω σ_t` per channel (1 or 3), not delta-scaled.
+    /// Scattering coefficient `ω σ_t` per channel, as many as the solution has; not delta-scaled.
     pub scattering: &'a [Buffer],
     /// Emission per world length and channel; empty when nothing glows.
     pub emission: &'a [Buffer],
-    /// Transmittance of each distant light on this grid, its irradiance and direction of travel.
+    /// Transmittance of each distant light through σ*, its irradiance and direction of travel.
     pub first: &'a [(&'a Buffer, [f32; 3], Vec3)],
     /// Radiance of a uniform environment.
     pub environment: [f32; 3],
@@ -22,59 +50,314 @@ pub struct ScatterProblem<'a> {
     pub anisotropy: f32,
     /// Ordinates: 8, 32 or 128.
     pub directions: usize,
-    /// Certified error at which to stop, relative to the unattenuated light.
+    /// Certified error at which to stop, relative to the largest fluence. 0 goes on until rounding stops all progress,
+    /// from a cold start, so that the result does not depend on earlier steps.
     pub tolerance: f32,
-    /// Start from the previous solution.
+    /// Start from earlier solutions.
     pub warm: bool,
     /// False: only the uncollided light of the environment.
     pub scattering_on: bool,
 }
 
+/// What a solve started from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Start {
+    /// No scattered light.
+    #[default]
+    Cold,
+    /// The latest solution.
+    Previous,
+    /// The latest two solutions, extrapolated linearly.
+    Extrapolated,
+}
+
 /// What one solve of scattered light did.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ScatterReport {
-    /// Source iterations.
+    /// Passes of the channel that took most, those of rejected guesses and of the error bound included.
     pub iterations: u64,
-    /// Sweeps over the grid: iterations × directions × channels.
+    /// Sweeps over the grid: passes × directions, all channels.
     pub sweeps: f64,
-    /// Voxel updates, residual passes included.
+    /// Voxel updates: passes × (directions + 1 for the source function), all channels.
     pub voxel_updates: u64,
-    /// Bound on the error of the fluence, relative to the unattenuated light.
+    /// Bound on the error of the fluence, relative to the largest fluence; infinite where no bound is known.
     pub certified_error: f64,
-    /// False when the iteration limit came first.
+    /// False when the limit of passes or rounding came first.
     pub converged: bool,
+    /// The guess with the least residual, in the last channel.
+    pub start: Start,
 }
 
 /// Scattered light, kept from step to step.
 pub struct Scattered {
     grid: Grid,
-    channels: usize,
     anisotropy: f32,
+    channels: Vec<Channel>,
+    optics: Optics,
+    work: Work,
+    states: [State; 3],
+    anderson: Anderson,
+    ones: Option<Buffer>,
 }
 
+/// Delta-scaled optics of the channel at work, continued past the edges of the medium.
+struct Optics {
+    sigma: Buffer,
+    scattering: Buffer,
+    emission: Buffer,
+}
+
+/// One colour channel: its latest solutions.
+struct Channel {
+    solution: State,
+    before: State,
+    /// How many of the two mean anything.
+    known: usize,
+    /// u of the error bound.
+    majorant: Option<State>,
+}
+
+/// A bound R ↦ gain·R on the error of Φ(x).
+#[derive(Debug, Clone, Copy)]
+struct Certificate {
+    gain: f64,
+    rigorous: bool,
+}
+
+/// Gains above which the bound by u is worth its passes.
+const LARGE_GAIN: f64 = 100.0;
+
 impl Scattered {
-    /// Allocates the unknowns.
-    pub fn new(_device: &dyn Device, grid: Grid, channels: usize, anisotropy: f32) -> Result<Self> {
-        Ok(Scattered { grid, channels, anisotropy })
+    /// Allocates the unknowns of `channels` colour channels (1 or 3) on `grid`.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or the device's.
+    pub fn new(device: &dyn Device, grid: Grid, channels: usize, anisotropy: f32) -> Result<Self> {
+        let state = || State::new(device, grid.len(), anisotropy != 0.0);
+        let channel = |_| Ok(Channel { solution: state()?, before: state()?, known: 0, majorant: None });
+        Ok(Scattered {
+            grid,
+            anisotropy,
+            channels: (0..channels).map(channel).collect::<Result<_>>()?,
+            optics: Optics {
+                sigma: device.alloc(grid.len())?,
+                scattering: device.alloc(grid.len())?,
+                emission: device.alloc(grid.len())?,
+            },
+            work: Work::new(device, grid.len(), anisotropy != 0.0)?,
+            states: [state()?, state()?, state()?],
+            anderson: Anderson::default(),
+            ones: None,
+        })
     }
 
     /// True when the kept solution is on this grid with as many channels and the same g.
     pub fn fits(&self, grid: &Grid, channels: usize, anisotropy: f32) -> bool {
-        self.grid == *grid && self.channels == channels && self.anisotropy == anisotropy
+        self.grid == *grid && self.channels.len() == channels && self.anisotropy == anisotropy
     }
 
     /// Solves for scattered light.
-    pub fn solve(&mut self, _device: &dyn Device, _problem: &ScatterProblem) -> Result<ScatterReport> {
-        Ok(ScatterReport { converged: true, ..Default::default() })
+    ///
+    /// # Errors
+    /// [`Error::Scene`](crate::Error::Scene) for a number of directions that is no set, or the device's. Not converging is
+    /// in the report.
+    pub fn solve(&mut self, device: &dyn Device, problem: &ScatterProblem) -> Result<ScatterReport> {
+        let mut report = ScatterReport { converged: true, ..Default::default() };
+        for channel in 0..self.channels.len() {
+            let set = ordinates(problem.directions, problem.environment[channel])?;
+            let done = self.solve_channel(device, problem, channel, &set)?;
+            report.iterations = report.iterations.max(done.iterations);
+            report.certified_error = report.certified_error.max(done.certified_error);
+            report.converged &= done.converged;
+            report.start = done.start;
+            report.sweeps += (done.iterations as usize * set.len()) as f64;
+            report.voxel_updates += done.iterations * (set.len() as u64 + 1) * self.grid.len() as u64;
+        }
+        Ok(report)
     }
 
-    /// Fluence of scattered light per colour channel, for [`Device::compose`].
+    fn solve_channel(
+        &mut self,
+        device: &dyn Device,
+        problem: &ScatterProblem,
+        channel: usize,
+        set: &[Ordinate],
+    ) -> Result<ScatterReport> {
+        let g = problem.anisotropy;
+        let linear = 3.0 * g / (1.0 + g);
+        let Scattered { grid, channels, optics, work, states: [x, value, other], anderson, ones, .. } = self;
+        let Channel { solution, before, known, majorant } = &mut channels[channel];
+        let first: Vec<_> = problem.first.iter().map(|(t, e, u)| (*t, e[channel], *u)).collect();
+        let emission = problem.emission.get(channel);
+        optics.prepare(
+            device,
+            grid,
+            problem.sigma,
+            (&problem.scattering[channel], 1.0 - g * g),
+            emission,
+            &mut x.phi,
+        )?;
+        let mut equation = Equation {
+            device,
+            grid,
+            ordinates: set,
+            sigma: &optics.sigma,
+            scattering: problem.scattering_on.then_some(&optics.scattering),
+            emission: emission.map(|_| &optics.emission),
+            first: &first,
+            linear,
+        };
+        x.combine(device, &[])?;
+        if !problem.scattering_on {
+            equation.apply(x, solution, work)?;
+            *known = 0;
+            return Ok(ScatterReport { iterations: 1, converged: true, ..Default::default() });
+        }
+        let mut passes = 0;
+        let albedo = f64::from(device.largest_ratio(&optics.scattering, &optics.sigma)?);
+        let mut certificate = contraction(albedo, set, linear);
+        if certificate.gain >= LARGE_GAIN && linear.abs() <= 1.0 {
+            let ones = match ones {
+                Some(ones) => ones,
+                None => {
+                    let mut buffer = device.alloc(grid.len())?;
+                    device.upload(&vec![1.0; grid.len()], &mut buffer)?;
+                    ones.insert(buffer)
+                }
+            };
+            let vacuum: Vec<_> = set.iter().map(|o| Ordinate { inflow: 0.0, ..*o }).collect();
+            let unit = [(&*ones, 1.0, Vec3::ZERO)];
+            let bound = Equation { ordinates: &vacuum, emission: None, first: &unit, ..equation };
+            let kept = match majorant {
+                Some(kept) => kept,
+                None => majorant.insert(State::new(device, grid.len(), linear != 0.0)?),
+            };
+            let residual = bound.apply(kept, value, work)?;
+            let done = iterate::iterate(&bound, kept, value, residual, (anderson, work), |_| 0.5)?;
+            passes += 1 + done.passes;
+            if done.residual.change < 1.0 {
+                let gain = done.residual.peak / (1.0 - done.residual.change);
+                certificate = Certificate { gain: gain.min(certificate.gain), rigorous: true };
+            }
+            std::mem::swap(kept, value);
+            equation = Equation { ordinates: set, ..equation };
+        }
+
+        x.combine(device, &[])?;
+        let light: Vec<_> = first.iter().map(|(t, e, _)| (*t, *e)).collect();
+        device.combine(&light, &mut value.phi)?;
+        let direct = f64::from(device.distance(&value.phi, &x.phi)?);
+        let scale = |peak: f64| direct.max(peak).max(f64::MIN_POSITIVE);
+        let tolerance = f64::from(problem.tolerance);
+        let target = |peak: f64| tolerance * scale(peak) / certificate.gain.max(f64::MIN_POSITIVE);
+
+        let warm = problem.warm && tolerance > 0.0;
+        let guesses: &[Start] = match *known {
+            2 if warm => &[Start::Extrapolated, Start::Previous],
+            1 if warm => &[Start::Previous],
+            _ => &[Start::Cold],
+        };
+        let mut best: Option<(Residual, Start)> = None;
+        for &guess in guesses {
+            match guess {
+                Start::Cold => {}
+                Start::Previous => x.combine(device, &[(solution, 1.0)])?,
+                Start::Extrapolated => x.combine(device, &[(solution, 2.0), (before, -1.0)])?,
+            }
+            let residual = equation.apply(x, value, work)?;
+            passes += 1;
+            if best.is_none_or(|(b, _)| residual.change < b.change) {
+                best = Some((residual, guess));
+                std::mem::swap(value, other);
+            }
+            if residual.change <= target(residual.peak) {
+                break;
+            }
+        }
+        let (residual, start) = best.expect("there is a guess");
+        std::mem::swap(value, other);
+        if start == Start::Extrapolated {
+            x.combine(device, &[(solution, 2.0), (before, -1.0)])?;
+        }
+        let done = iterate::iterate(&equation, x, value, residual, (anderson, work), target)?;
+        passes += done.passes;
+        std::mem::swap(before, solution);
+        std::mem::swap(solution, value);
+        *known = (*known + 1).min(2);
+        let bound = certificate.gain * done.residual.change / scale(done.residual.peak);
+        Ok(ScatterReport {
+            iterations: passes,
+            certified_error: if certificate.rigorous { bound } else { f64::INFINITY },
+            converged: done.converged,
+            start,
+            ..Default::default()
+        })
+    }
+
+    /// Fluence of scattered light with its share in each colour channel, for [`Device::compose`].
     pub fn fluence(&self) -> Vec<(&Buffer, [f32; 3])> {
-        vec![]
+        self.channels.iter().enumerate().map(|(c, channel)| (&channel.solution.phi, self.share(c, 1.0))).collect()
     }
 
-    /// Scattered light as the ray caster takes it.
+    /// Scattered light as the ray caster takes it: `φ/4π` and, where scattering is anisotropic, `3g/4π Ω·J`. A ray sees
+    /// the unscaled medium; what delta-Eddington scaling counts as going straight on then arrives by
+    /// `f·3 + (1 − f)·3g* = 3g` of J.
     pub fn terms(&self) -> Vec<Term<'_>> {
-        vec![]
+        let per_sphere = 0.25 * std::f32::consts::FRAC_1_PI;
+        let mut terms = Vec::new();
+        for (c, channel) in self.channels.iter().enumerate() {
+            let State { phi, current } = &channel.solution;
+            let weight = Weight::Uniform(self.share(c, per_sphere));
+            terms.push(Term { values: phi, grid: &self.grid, weight });
+            for (axis, values) in current.iter().flatten().enumerate() {
+                let weight = self.share(c, 3.0 * self.anisotropy * per_sphere);
+                terms.push(Term { values, grid: &self.grid, weight: Weight::Current { axis, weight } });
+            }
+        }
+        terms
+    }
+
+    /// `weight` in the colour channels that channel `c` stands for.
+    fn share(&self, c: usize, weight: f32) -> [f32; 3] {
+        if self.channels.len() == 1 {
+            [weight; 3]
+        } else {
+            std::array::from_fn(|rgb| if rgb == c { weight } else { 0.0 })
+        }
+    }
+}
+
+impl Optics {
+    fn prepare(
+        &mut self,
+        device: &dyn Device,
+        grid: &Grid,
+        sigma: &Buffer,
+        (scattering, scale): (&Buffer, f32),
+        emission: Option<&Buffer>,
+        scratch: &mut Buffer,
+    ) -> Result<()> {
+        device.extend(grid.size, sigma, sigma, &mut self.sigma)?;
+        device.combine(&[(scattering, scale)], scratch)?;
+        device.extend(grid.size, sigma, scratch, &mut self.scattering)?;
+        match emission {
+            Some(emission) => device.extend(grid.size, sigma, emission, &mut self.emission),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The bound that the largest albedo gives.
+fn contraction(albedo: f64, set: &[Ordinate], linear: f32) -> Certificate {
+    let row = |o: &Ordinate| -> f64 {
+        let kernel = |p: &Ordinate| f64::from(p.weight * (1.0 + linear * o.direction.dot(p.direction)).abs());
+        set.iter().map(kernel).sum::<f64>() / (4.0 * std::f64::consts::PI)
+    };
+    let kappa = if linear.abs() <= 1.0 { 1.0 } else { set.iter().map(row).fold(0.0, f64::max) };
+    let contraction = kappa * albedo;
+    if contraction < 1.0 {
+        Certificate { gain: albedo / (1.0 - contraction), rigorous: true }
+    } else {
+        Certificate { gain: LARGE_GAIN, rigorous: false }
     }
 }

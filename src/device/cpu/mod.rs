@@ -1,5 +1,7 @@
 //! The CPU as a device: SIMD kernels over bricks and tiles on all cores. A first-class device, not a fallback.
 
+use std::sync::{Mutex, PoisonError};
+
 use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -8,7 +10,9 @@ use crate::transfer::Table;
 
 mod bricks;
 mod classify;
+mod combine;
 mod compose;
+pub(crate) mod extend;
 pub mod march;
 pub mod simd;
 mod source;
@@ -19,6 +23,7 @@ mod transport;
 /// The CPU.
 pub struct Cpu {
     pool: rayon::ThreadPool,
+    transport: Mutex<transport::Kept>,
 }
 
 impl Cpu {
@@ -29,7 +34,7 @@ impl Cpu {
             .thread_name(|i| format!("gloaming-{i}"))
             .build()
             .map_err(|e| Error::Device(format!("cannot start threads: {e}")))?;
-        Ok(Cpu { pool })
+        Ok(Cpu { pool, transport: Mutex::default() })
     }
 
     /// Number of threads.
@@ -141,7 +146,32 @@ impl Device for Cpu {
         phi: &mut Buffer,
         current: Option<[&mut Buffer; 3]>,
     ) -> Result<(f32, f32)> {
-        Ok(self.pool.install(|| transport::transport(transport, host_mut(phi), current.map(|c| c.map(host_mut)))))
+        let mut guard = self.transport.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = &mut *guard;
+        let (phi, current) = (host_mut(phi), current.map(|c| c.map(host_mut)));
+        Ok(self.pool.install(|| transport::transport(transport, kept, phi, current)))
+    }
+
+    fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| combine::combine(terms, host_mut(out)));
+        Ok(())
+    }
+
+    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
+        Ok(self.pool.install(|| combine::dot(host(a), host(b))))
+    }
+
+    fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        Ok(self.pool.install(|| combine::distance(host(a), host(b))))
+    }
+
+    fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        Ok(self.pool.install(|| combine::largest_ratio(host(a), host(b))))
+    }
+
+    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| extend::extend(size, host(sigma), host(values), host_mut(out)));
+        Ok(())
     }
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
