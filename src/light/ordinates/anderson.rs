@@ -60,11 +60,10 @@ impl Anderson {
         let mut l = [[0.0; DEPTH]; DEPTH];
         for i in 0..n {
             for j in 0..=i {
-                let mut sum = self.gram[i][j] / (scale[i] * scale[j]) + if i == j { 1e-9 } else { 0.0 };
-                for k in 0..j {
-                    sum -= l[i][k] * l[j][k];
-                }
-                l[i][j] = if i == j { sum.max(1e-12).sqrt() } else { sum / l[j][j] };
+                let known: f64 = (0..j).map(|k| l[i][k] * l[j][k]).sum();
+                let rounding = if i == j { 1e-9 } else { 0.0 };
+                let rest = self.gram[i][j] / (scale[i] * scale[j]) + rounding - known;
+                l[i][j] = if i == j { rest.max(1e-12).sqrt() } else { rest / l[j][j] };
             }
         }
         for i in 0..n {
