@@ -1,0 +1,205 @@
+//! A whole series through the pipeline: what comes out, what is said of what was lost, and that warm is as good as cold.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use gloaming::device::cpu::Cpu;
+use gloaming::field::{Dense, Field, Timestep};
+use gloaming::pipeline::{self, InSitu, Job, Summary};
+use gloaming::scene::Scene;
+use gloaming::session::Session;
+use gloaming::source::{self, Series, SeriesInfo, SourceSpec};
+use gloaming::{Error, Grid, Region, Result};
+
+const SMOKE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/smoke.h5");
+
+fn scene(extra: &[&str]) -> Scene {
+    let mut sets = vec!["render.size=[96, 64]".to_string(), "light.resolution=0.25".into(), "light.directions=8".into()];
+    sets.extend(extra.iter().map(|s| s.to_string()));
+    Scene::load(None, &sets).unwrap()
+}
+
+fn job(series: Box<dyn Series>, indices: Vec<usize>, scene: Scene, out: &Path) -> Job {
+    let at = |name: &str| out.join(name).to_str().unwrap().to_string();
+    Job {
+        series,
+        indices,
+        scene,
+        device: Arc::new(Cpu::new(2).unwrap()),
+        outputs: vec![at("f_{step:06}.png"), at("f_{step:06}.exr")],
+        ledger: Some(out.join("ledger.csv")),
+    }
+}
+
+fn run(job: Job) -> Result<Summary> {
+    pipeline::run(job, &AtomicBool::new(false), &mut |_| ())
+}
+
+fn smoke() -> Box<dyn Series> {
+    source::open(&SourceSpec { series: vec![SMOKE.into()], ..Default::default() }).unwrap()
+}
+
+#[test]
+fn a_series_becomes_frames_and_a_ledger() {
+    let out = tempfile::tempdir().unwrap();
+    let summary = run(job(smoke(), vec![30, 31, 32], scene(&[]), out.path())).unwrap();
+    assert_eq!((summary.done, summary.lost.len(), summary.interrupted), (3, 0, false));
+    for step in 30..33 {
+        assert!(out.path().join(format!("f_{step:06}.png")).exists(), "frame of step {step}");
+        assert!(out.path().join(format!("f_{step:06}.exr")).exists(), "frame of step {step}");
+    }
+    let ledger = std::fs::read_to_string(out.path().join("ledger.csv")).unwrap();
+    assert_eq!(ledger.lines().count(), 4, "a header and three rows:\n{ledger}");
+    let starts: Vec<&str> = summary.rows.iter().map(|r| &r.start[..]).collect();
+    assert_eq!(starts, ["cold", "warm", "warm"]);
+    assert!(summary.rows.iter().all(|r| r.certified_error <= 2e-3), "{:?}", summary.rows);
+}
+
+/// validation.md 17 through the whole session: the light and the pictures of a warm run are a cold run's, to the bit for
+/// direct light at tolerance 0.
+#[test]
+fn warm_is_cold_to_the_bit_at_tolerance_zero() {
+    let light = |warm: &str| {
+        let scene = scene(&["light.tolerance=0", "light.scattering=false", warm]);
+        let mut session = Session::new(Arc::new(Cpu::new(2).unwrap()), scene, Some([0.0, 1.0]), true).unwrap();
+        let series = smoke();
+        let outputs: Vec<_> = (20..24).map(|i| session.advance(series.timestep(i).unwrap()).unwrap()).collect();
+        outputs.into_iter().map(|o| (o.light.unwrap(), o.frames[0].frame.clone(), o.row)).collect::<Vec<_>>()
+    };
+    let (warm, cold) = (light("light.warm=true"), light("light.warm=false"));
+    let (mut swept, mut all) = (0, 0);
+    for (step, (w, c)) in warm.iter().zip(&cold).enumerate() {
+        assert!(w.0 == c.0 && w.1 == c.1, "step {step} differs");
+        assert_eq!(c.2.bricks_active, c.2.bricks_total);
+        if step > 0 {
+            (swept, all) = (swept + w.2.bricks_active, all + w.2.bricks_total);
+        }
+    }
+    assert!(swept < all, "nothing was ever skipped: {swept} of {all}");
+}
+
+/// Steps in memory, some of which cannot be read.
+struct Faulty {
+    info: SeriesInfo,
+    broken: Vec<usize>,
+}
+
+struct Broken;
+
+impl Field for Broken {
+    fn read(&self, _: Region, _: &mut [f32]) -> Result<()> {
+        Err(Error::format("run/plt_00007.h5:/density", "the file ends after 4096 of 110592 bytes", "copy it again"))
+    }
+}
+
+impl Faulty {
+    fn boxed(broken: &[usize]) -> Box<dyn Series> {
+        Box::new(Faulty { info: smoke().info().clone(), broken: broken.to_vec() })
+    }
+}
+
+impl Series for Faulty {
+    fn info(&self) -> &SeriesInfo {
+        &self.info
+    }
+
+    fn timestep(&self, index: usize) -> Result<Timestep> {
+        let grid = Grid::new([24, 20, 22]);
+        let field: Arc<dyn Field> = if self.broken.contains(&index) {
+            Arc::new(Broken)
+        } else {
+            let values = (0..grid.len()).map(|i| if i % 1000 == 7 { f32::NAN } else { (i % 24) as f32 / 24.0 }).collect();
+            Arc::new(Dense::new(grid.size, values))
+        };
+        Ok(Timestep { step: index as u64, time: Some(index as f64), grid, field })
+    }
+}
+
+#[test]
+fn a_step_that_cannot_be_read_is_a_stated_loss() {
+    let out = tempfile::tempdir().unwrap();
+    let summary = run(job(Faulty::boxed(&[1]), vec![0, 1, 2], scene(&[]), out.path())).unwrap();
+    assert_eq!(summary.done, 2);
+    assert_eq!(summary.lost.len(), 1);
+    let (step, why) = &summary.lost[0];
+    assert!(*step == 1 && why.contains("plt_00007.h5") && why.contains("copy it again"), "{why}");
+    assert!(std::fs::read_to_string(out.path().join("ledger.csv")).unwrap().contains("plt_00007"));
+    assert!(!out.path().join("f_000001.png").exists());
+}
+
+#[test]
+fn holes_are_counted_and_leave_finite_pictures() {
+    let out = tempfile::tempdir().unwrap();
+    let summary = run(job(Faulty::boxed(&[]), vec![0, 1], scene(&[]), out.path())).unwrap();
+    assert_eq!(summary.rows[0].holes, (24 * 20 * 22 - 7_usize).div_ceil(1000) as u64);
+    let mut session = Session::new(Arc::new(Cpu::new(1).unwrap()), scene(&[]), None, true).unwrap();
+    let output = session.advance(Faulty::boxed(&[]).timestep(0).unwrap()).unwrap();
+    assert!(output.frames[0].frame.pixels.iter().flatten().all(|v| v.is_finite()));
+    assert!(output.light.unwrap().fluence.iter().flatten().all(|v| v.is_finite()));
+}
+
+#[test]
+fn a_series_without_a_readable_step_fails_with_the_reason() {
+    let out = tempfile::tempdir().unwrap();
+    let error = run(job(Faulty::boxed(&[0, 1]), vec![0, 1], scene(&[]), out.path())).unwrap_err().to_string();
+    assert!(error.contains("plt_00007.h5"), "{error}");
+}
+
+#[test]
+fn an_empty_selection_names_the_way_out() {
+    let out = tempfile::tempdir().unwrap();
+    let error = run(job(smoke(), vec![], scene(&[]), out.path())).unwrap_err().to_string();
+    assert!(error.contains("48") && error.contains("gloaming info"), "{error}");
+}
+
+/// A target that disappears half-way ends the run with the sink's error and does not hang; frames done stay.
+#[test]
+fn a_failing_sink_ends_the_run() {
+    let out = tempfile::tempdir().unwrap();
+    let frames = out.path().join("frames");
+    let mut job = job(smoke(), (0..40).collect(), scene(&[]), out.path());
+    job.outputs = vec![frames.join("f_{step:06}.png").to_str().unwrap().into()];
+    let (frames_in, mut calls) = (frames.clone(), 0);
+    let error = pipeline::run(job, &AtomicBool::new(false), &mut |_| {
+        calls += 1;
+        if calls == 3 {
+            std::fs::rename(&frames_in, frames_in.with_extension("moved")).unwrap();
+            std::fs::write(&frames_in, "in the way").unwrap();
+        }
+    })
+    .unwrap_err();
+    assert!(matches!(error, Error::Io { .. }), "{error}");
+    assert!(frames.with_extension("moved").join("f_000002.png").exists());
+}
+
+#[test]
+fn stopping_keeps_what_is_done() {
+    let out = tempfile::tempdir().unwrap();
+    let stop = AtomicBool::new(false);
+    let mut job = job(smoke(), (0..40).collect(), scene(&[]), out.path());
+    job.outputs.push(out.path().join("movie.mp4").to_str().unwrap().into());
+    let summary = pipeline::run(job, &stop, &mut |p| stop.store(p.finished >= 2, Ordering::Relaxed)).unwrap();
+    assert!(summary.interrupted && summary.done >= 2 && summary.done < 40, "{} done", summary.done);
+    assert!(out.path().join("movie.mp4").exists());
+    assert!(out.path().join(format!("f_{:06}.png", summary.done - 1)).exists());
+}
+
+/// Steps pushed by a running simulation give the same pictures as the same steps from a file.
+#[test]
+fn pushed_steps_equal_read_steps() {
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let fixed = &["field.range=[0.0, 1.0]"];
+    run(job(smoke(), vec![10, 11, 12], scene(fixed), a.path())).unwrap();
+    let target = b.path().join("f_{step:06}.png").to_str().unwrap().to_string();
+    let mut session = InSitu::open(scene(fixed), Arc::new(Cpu::new(2).unwrap()), &[target], None, "density").unwrap();
+    let series = smoke();
+    for i in [10, 11, 12] {
+        session.push(series.timestep(i).unwrap()).unwrap();
+    }
+    assert_eq!(session.close().unwrap().done, 3);
+    for step in 10..13 {
+        let name = format!("f_{step:06}.png");
+        assert_eq!(std::fs::read(a.path().join(&name)).unwrap(), std::fs::read(b.path().join(&name)).unwrap(), "{name}");
+    }
+}
