@@ -66,10 +66,10 @@ pub struct Progress<'a> {
 }
 
 /// Called after each step, from the writing thread.
-pub type OnProgress = dyn FnMut(Progress) + Send;
+pub type OnProgress<'a> = dyn FnMut(Progress) + Send + 'a;
 
 /// Runs a job to its end, or until `stop` is set: then the step in hand is finished and everything is closed.
-pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress) -> Result<Summary> {
+pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result<Summary> {
     let Job { series, indices, scene, device, outputs, ledger } = job;
     if indices.is_empty() {
         let info = series.info();
@@ -145,7 +145,7 @@ fn drive(
     ledger: Option<PathBuf>,
     total: Option<usize>,
     stop: &AtomicBool,
-    progress: &mut OnProgress,
+    progress: &mut OnProgress<'_>,
 ) -> Result<Summary> {
     let (read_tx, read_rx) = bounded(DEPTH);
     let (write_tx, write_rx) = bounded(DEPTH);
@@ -231,7 +231,7 @@ fn write_behind(
     mut sinks: Vec<Box<dyn Sink>>,
     ledger: Option<PathBuf>,
     total: Option<usize>,
-    progress: &mut OnProgress,
+    progress: &mut OnProgress<'_>,
 ) -> Result<Summary> {
     let mut ledger = ledger.map(Ledger::create).transpose()?;
     let mut summary = Summary::default();
