@@ -109,7 +109,7 @@ pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
     let fail = |found: String| Err(Error::format(e.name, found, "--axes ORDER, slowest axis first, such as tzyx"));
     if let Some(asked) = e.asked {
         let axes = Axes::parse(asked)
-            .or_else(|why| Err(Error::format(e.name, why, "--axes tzyx (slowest axis first, of x y z t c)")))?;
+            .map_err(|why| Error::format(e.name, why, "--axes tzyx (slowest axis first, of x y z t c)"))?;
         if axes.rank() != rank {
             return fail(format!("--axes {asked} names {} axes, but the array is {shape}, {rank} axes", axes.rank()));
         }
@@ -125,12 +125,13 @@ pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
     let small = |a: usize| (2..=4).contains(&e.shape[a]);
     let evident = match e.unlimited {
         [one] => Some(*one),
-        _ => (0..rank).find(|&a| e.time_lengths.contains(&e.shape[a])),
+        _ => (0..rank).find(|&a| e.shape[a] > 1 && e.time_lengths.contains(&e.shape[a])),
     };
     let axes = match rank {
         3 => Axes::with(3, None, None),
         4 => match evident {
-            Some(time) if !(e.many && e.unlimited.is_empty()) => Axes::with(4, Some(time), None),
+            Some(time) => Axes::with(4, Some(time), None),
+            _ if e.many && e.shape[0] == 1 => Axes::with(4, Some(0), None),
             _ if e.many && small(3) => Axes::with(4, None, Some(3)),
             _ if e.many && small(0) => Axes::with(4, None, Some(0)),
             _ => {

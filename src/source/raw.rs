@@ -443,6 +443,5 @@ fn values(raw: &RawSpec, bytes: Bytes, index: usize, count: usize, spec: &Source
         let offset = raw.offset + start + skip;
         Values::Raw(Slab { bytes: bytes.clone(), offset, dtype: raw.dtype, strides, size: raw.size, scale: [1.0, 0.0] })
     };
-    let mut values: Vec<Values> = parts.iter().map(part).collect();
-    Ok(if values.len() == 1 { values.swap_remove(0) } else { Values::Magnitude(values) })
+    Ok(Values::of(parts.iter().map(part).collect()))
 }

@@ -23,6 +23,11 @@ pub(crate) enum Values {
 }
 
 impl Values {
+    /// One part as it is, or the length of the vector that several make.
+    pub fn of(mut parts: Vec<Values>) -> Values {
+        if parts.len() == 1 { parts.swap_remove(0) } else { Values::Magnitude(parts) }
+    }
+
     /// Opens the values, which must fill a grid of `size`.
     pub fn open(&self, size: [usize; 3], opened: &h5::Opened) -> Result<Arc<dyn Field>> {
         Ok(match self {

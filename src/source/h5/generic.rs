@@ -4,27 +4,27 @@ use std::path::Path;
 
 use hdf5::{File, Location};
 
+use super::Input;
 use super::attributes::{first, first_text, number, numbers_in, outwards};
 use super::slab::{Packing, Slab};
 use super::tree::{Found, Tree, type_name, walk};
 use crate::error::{Error, Result};
 use crate::source::axes::{Axes, Evidence, place};
 use crate::source::choose::{choose, component};
-use crate::source::expand::{Entry, Files};
+use crate::source::expand::Entry;
 use crate::source::series::{Plan, Step};
 use crate::source::values::Values;
-use crate::source::{Candidate, GridInfo, SeriesInfo, SourceSpec};
+use crate::source::{Candidate, GridInfo, SeriesInfo};
 
 /// Names under which a file tells time, in the order in which they are believed.
 const TIMES: [&str; 10] =
     ["time", "Time", "t", "TIME", "times", "Times", "sim_time", "simulation_time", "current_time", "InitialTime"];
 
 /// Finds the field and its steps.
-pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
-    let mut warnings = Vec::new();
-    let (file, first_entry) = first_readable(files, &mut warnings)?;
+pub(crate) fn plan(input: Input) -> Result<Plan> {
+    let Input { files, spec, file, entry: first_entry, mut warnings } = input;
     let tree = walk(&file);
-    let asked = files.dataset.as_deref().or(spec.field.as_deref());
+    let asked = super::asked(files, spec);
     let found = find(&tree, &file, asked, &first_entry.path)?;
     let name = format!("{}:{}", first_entry.path.display(), found.members[0].1);
     let places = outwards(&file, &found.members[0].1);
@@ -53,10 +53,16 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
         (_, _, true) => "hdf5 file per step",
         _ => "hdf5 3-D dataset",
     };
-    let range = range(&places);
+    let range = range(&places).map(|([lo, hi], from)| {
+        // The valid range is told in stored numbers.
+        let packing = packing(&places[..1]);
+        let unpack = |v: f64| if from.contains("valid") { v * packing.scale + packing.offset } else { v };
+        ([unpack(lo), unpack(hi)], from)
+    });
+    warnings.extend(missing_sources(&file, &found.members[0].1, &first_entry.path));
     let mut steps = Vec::new();
     for entry in &files.entries {
-        let own = if entry.path == first_entry.path { Some(file.clone()) } else { reopen(entry, &mut warnings) };
+        let own = super::reopen(entry, first_entry, &file, &mut warnings);
         let source = Source { entry, file: own.as_ref(), found: &found, axes: &axes, parts: &parts };
         source.steps(files.entries.len() > 1, &mut steps);
     }
@@ -76,35 +82,12 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
     Ok(Plan { info, steps, start: 0.0 })
 }
 
-/// The first file that opens; that others before it do not is a warning unless none does.
-fn first_readable<'a>(files: &'a Files, warnings: &mut Vec<String>) -> Result<(File, &'a Entry)> {
-    let mut reason = None;
-    for entry in &files.entries {
-        match super::open_file(&entry.path, 0) {
-            Ok(file) => return Ok((file, entry)),
-            Err(why) if reason.is_none() => reason = Some(why),
-            Err(_) => {}
-        }
-        warnings.push(format!("{}: cannot be opened; its step will fail", entry.path.display()));
-    }
-    Err(reason.unwrap_or_else(|| Error::format("", "no files", "a file, a folder or a pattern")))
-}
-
-fn reopen(entry: &Entry, warnings: &mut Vec<String>) -> Option<File> {
-    let file = super::open_file(&entry.path, 0).ok();
-    let told = format!("{}: cannot be opened; its step will fail", entry.path.display());
-    if file.is_none() && !warnings.contains(&told) {
-        warnings.push(told);
-    }
-    file
-}
-
 /// The dataset asked for, else the only one that could be meant.
 fn find(tree: &Tree, file: &File, asked: Option<&str>, path: &Path) -> Result<Found> {
     let names: Vec<&str> = tree.volumes.iter().map(|f| f.name.as_str()).collect();
     if let Some(asked) = asked
         && !names.iter().any(|n| crate::source::choose::matches(n, asked))
-        && let Ok(Some(odd)) = named_outright(file, asked, path)
+        && let Some(odd) = named_outright(file, asked, path)?
     {
         return Ok(odd);
     }
@@ -162,34 +145,35 @@ struct Source<'a> {
 impl Source<'_> {
     fn steps(&self, several_files: bool, steps: &mut Vec<Step>) {
         let members = &self.found.members;
-        // Group numbers say nothing about the order of files; files with several steps each are numbered through.
-        let through = several_files && (members.len() > 1 || self.axes.time.is_some());
         for (place, (number, dataset)) in members.iter().enumerate() {
             let shape = self.file.and_then(|f| f.dataset(dataset).ok()).map(|d| d.shape());
-            let along =
-                self.axes.time.map(|axis| (axis, shape.as_ref().and_then(|s| s.get(axis)).copied().unwrap_or(1)));
-            let times = self.times(dataset, along.map(|(_, n)| n), place);
+            let count = self.axes.time.map(|axis| shape.as_ref().and_then(|s| s.get(axis)).copied().unwrap_or(1));
+            let times = self.times(dataset, count, place);
             let size = shape.as_ref().filter(|s| s.len() == self.found.shape.len()).map(|s| self.axes.size(s));
-            for index in 0..along.map_or(1, |(_, n)| n) {
-                let own = if self.axes.time.is_some() && members.len() == 1 && !several_files {
-                    Some(index as u64)
-                } else {
-                    None
-                };
+            let grid = self.file.zip(size).map(|(file, size)| self.own_grid(file, dataset, size));
+            let packing = self.file.map(|f| packing(&outwards(f, dataset)[..1])).unwrap_or_default();
+            // Numbers of groups say nothing about the order of files: several steps in each of several files are
+            // numbered through.
+            let several = members.len() > 1 || count.is_some_and(|n| n > 1);
+            for index in 0..count.unwrap_or(1) {
                 let next = steps.len() as u64;
-                let step = if through { next } else { own.or(*number).or(self.entry.number).unwrap_or(next) };
-                let grid = self.file.zip(size).map(|(file, size)| self.own_grid(file, dataset, size));
-                let part = |c: &Option<usize>| self.slab(dataset, along.map(|(axis, _)| (axis, index)), *c);
-                let mut values: Vec<Values> = self.parts.iter().map(part).collect();
-                let values = if values.len() == 1 { values.swap_remove(0) } else { Values::Magnitude(values) };
-                steps.push(Step { step, time: times.get(index).copied().or(self.entry.decimal), grid, values });
+                let step = match (several_files, several) {
+                    (true, true) => next,
+                    (true, false) => self.entry.number.unwrap_or(next),
+                    (false, _) if count.is_some() && members.len() == 1 => index as u64,
+                    (false, _) => number.or(self.entry.number).unwrap_or(next),
+                };
+                let part =
+                    |c: &Option<usize>| self.slab(dataset, self.axes.time.map(|axis| (axis, index)), *c, &packing);
+                let values = Values::of(self.parts.iter().map(part).collect());
+                let time = times.get(index).copied().or(self.entry.decimal);
+                steps.push(Step { step, time, grid: grid.clone(), values });
             }
         }
     }
 
-    fn slab(&self, dataset: &str, time: Option<(usize, usize)>, part: Option<usize>) -> Values {
+    fn slab(&self, dataset: &str, time: Option<(usize, usize)>, part: Option<usize>, packing: &Packing) -> Values {
         let fixed = time.into_iter().chain(self.axes.component.zip(part)).collect();
-        let packing = self.file.map(|f| packing(&outwards(f, dataset)[..1])).unwrap_or_default();
         Values::Hdf5(Slab {
             file: self.entry.path.clone(),
             dataset: dataset.to_owned(),
@@ -198,7 +182,7 @@ impl Source<'_> {
             fixed,
             start: [0; 3],
             whole: true,
-            packing,
+            packing: packing.clone(),
         })
     }
 
@@ -319,8 +303,22 @@ fn packing(places: &[Location]) -> Packing {
     }
 }
 
+/// Parts of a virtual dataset whose files are missing: HDF5 fills them in without a word.
+fn missing_sources(file: &File, dataset: &str, path: &Path) -> Vec<String> {
+    let Ok(plist) = file.dataset(dataset).and_then(|d| d.dcpl()) else { return Vec::new() };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let missing =
+        |name: &String| name != "." && !name.contains('%') && !folder.join(name).exists() && !Path::new(name).exists();
+    let mut names: Vec<String> = plist.virtual_map().into_iter().map(|m| m.src_filename).filter(missing).collect();
+    names.dedup();
+    let told = |n: &String| {
+        format!("{dataset}: part of this virtual dataset is missing with the file {n}; it reads as fill values")
+    };
+    names.iter().map(told).collect()
+}
+
 /// Range over the series where an attribute says it.
-fn range(places: &[Location]) -> Option<([f64; 2], String)> {
+pub(crate) fn range(places: &[Location]) -> Option<([f64; 2], String)> {
     let fine = |r: &[f64]| r[0].is_finite() && r[1].is_finite() && r[0] < r[1];
     for name in ["actual_range", "valid_range", "data_range", "value_range", "range"] {
         if let Some(r) = first(&places[..1], &[name], 2).filter(|r| fine(r)) {

@@ -1,24 +1,112 @@
-//! HDF5: opening files and datasets with errors that say what to do, and telling layouts apart.
+//! HDF5: telling layouts apart, and opening files and datasets with errors that say what to do.
+//!
+//! A layout is one file here and one arm in [`plan`]: it turns what is in the files into steps, each of which names
+//! its place in them.
 
 mod attributes;
 mod generic;
+mod netcdf;
+mod openpmd;
 mod slab;
 mod tree;
+mod vtkhdf;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use hdf5::{Dataset, File};
 
-use super::expand::Files;
+use super::expand::{Entry, Files};
 use super::series::Plan;
 use super::{SourceSpec, file_problem};
 use crate::error::{Error, Result};
 
-pub(crate) use slab::{Opened, Slab};
+pub(crate) use slab::{Opened, Packing, Slab};
 
-/// Finds out which layout the files have, and what is in them.
+/// What a layout starts from: the files, and the first of them that opens.
+pub(crate) struct Input<'a> {
+    pub files: &'a Files,
+    pub spec: &'a SourceSpec,
+    pub file: File,
+    pub entry: &'a Entry,
+    pub warnings: Vec<String>,
+}
+
+impl<'a> Input<'a> {
+    /// Finds the first file that opens; that others before it do not is a warning unless none does.
+    fn new(files: &'a Files, spec: &'a SourceSpec) -> Result<Input<'a>> {
+        let (mut reason, mut warnings) = (None, Vec::new());
+        for entry in &files.entries {
+            match open_file(&entry.path, 0) {
+                Ok(file) => return Ok(Input { files, spec, file, entry, warnings }),
+                Err(why) => reason = reason.or(Some(why)),
+            }
+            warnings.push(unreadable(entry));
+        }
+        Err(reason.unwrap_or_else(|| Error::format("", "no files", "a file, a folder or a pattern")))
+    }
+
+    fn paths(&self) -> Vec<PathBuf> {
+        self.files.entries.iter().map(|e| e.path.clone()).collect()
+    }
+}
+
+fn unreadable(entry: &Entry) -> String {
+    format!("{}: cannot be opened; its step will fail", entry.path.display())
+}
+
+/// The field that was asked for, by `FILE:/dataset` or by name.
+fn asked<'a>(files: &'a Files, spec: &'a SourceSpec) -> Option<&'a str> {
+    files.dataset.as_deref().or(spec.field.as_deref())
+}
+
+/// Opens one file of the series; one that does not open is a warning, and its step will fail.
+fn reopen(entry: &Entry, first: &Entry, file: &File, warnings: &mut Vec<String>) -> Option<File> {
+    if entry.path == first.path {
+        return Some(file.clone());
+    }
+    let opened = open_file(&entry.path, 0).ok();
+    if opened.is_none() && !warnings.contains(&unreadable(entry)) {
+        warnings.push(unreadable(entry));
+    }
+    opened
+}
+
+/// Finds out which layout the files have, and what is in them. A dataset that is named outright and that the layout
+/// does not list is read as it stands.
 pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
-    generic::plan(files, spec)
+    let input = Input::new(files, spec)?;
+    let layout = match layout(&input.file) {
+        Layout::Generic => return generic::plan(input),
+        Layout::Vtkhdf => vtkhdf::plan(input),
+        Layout::OpenPmd => openpmd::plan(input),
+        Layout::Netcdf => netcdf::plan(input),
+    };
+    match layout {
+        Err(why) if files.dataset.is_some() => generic::plan(Input::new(files, spec)?).map_err(|_| why),
+        other => other,
+    }
+}
+
+/// Layouts of HDF5 files.
+enum Layout {
+    Generic,
+    Vtkhdf,
+    OpenPmd,
+    Netcdf,
+}
+
+/// The layout whose marks a file bears.
+fn layout(file: &File) -> Layout {
+    let marked = |name: &str| file.attr(name).is_ok();
+    if file.link_exists("VTKHDF") {
+        Layout::Vtkhdf
+    } else if marked("openPMD") && marked("basePath") {
+        Layout::OpenPmd
+    } else if marked("_NCProperties") || netcdf::has_scales(file) {
+        Layout::Netcdf
+    } else {
+        Layout::Generic
+    }
 }
 
 /// Opens a file for reading. `cache` bytes of decoded chunks are kept for each dataset.

@@ -141,8 +141,10 @@ impl SlabField {
             let start = self.slab.start[a] + region.start[a];
             along[axis] = (start..start + region.size[a]).into();
         }
-        let read: ArrayD<T> =
-            self.dataset.read_slice(Hyperslab::from(along)).map_err(|e| read_error(&self.slab.name(), &e))?;
+        let read: ArrayD<T> = self
+            .dataset
+            .read_slice(Hyperslab::from(along))
+            .map_err(|e| read_error(&self.slab.name(), &self.dataset, &e))?;
         let [x, y, z] = self.slab.space;
         let others = (0..self.slab.rank).filter(|a| ![x, y, z].contains(a));
         let mut stored = read.view().permuted_axes([z, y, x].into_iter().chain(others).collect::<Vec<_>>());
@@ -177,11 +179,33 @@ impl Field for SlabField {
 }
 
 /// What kept HDF5 from reading values, in words.
-fn read_error(name: &str, e: &hdf5::Error) -> Error {
+fn read_error(name: &str, dataset: &Dataset, e: &hdf5::Error) -> Error {
     let text = e.to_string();
+    let absent = dataset.filters().into_iter().find(|f| !f.is_available());
+    if let Some(filter) = absent {
+        let known = [
+            (32000, "LZF"),
+            (32001, "Blosc"),
+            (32004, "LZ4"),
+            (32008, "Bitshuffle"),
+            (32013, "ZFP"),
+            (32015, "Zstandard"),
+        ];
+        let called = known.iter().find(|(id, _)| *id == filter.id()).map_or("", |(_, n)| n);
+        let found = format!("compressed by filter {} {called}, which this HDF5 lacks", filter.id());
+        return Error::format(
+            name,
+            found,
+            "HDF5_PLUGIN_PATH=FOLDER with its plugin, or h5repack -f GZIP=4 IN OUT where it is known",
+        );
+    }
     if text.contains("filter") {
-        let found = format!("a compression filter of this dataset is missing or fails ({text})");
-        return Error::format(name, found, "HDF5_PLUGIN_PATH=FOLDER of its plugin, or h5repack -f GZIP=4 IN OUT");
+        let found = format!("its values cannot be decompressed: the file is damaged or incomplete ({text})");
+        return Error::format(name, found, "--steps A..B for the steps before");
+    }
+    if text.contains("external") {
+        let found = format!("its values lie in an external raw file that cannot be opened ({text})");
+        return Error::format(name, found, "HDF5_EXTFILE_PREFIX='${ORIGIN}' when that file lies beside this one");
     }
     if text.contains("conversion path") {
         return Error::format(

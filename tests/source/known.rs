@@ -1,18 +1,11 @@
-//! Series from files: figures against known numbers, layouts, and files as they come from outside.
+//! Figures of real files against STATS.tsv, which NumPy worked out.
 
 use std::collections::HashMap;
-use std::path::Path;
 
 use gloaming::grid::Region;
 use gloaming::source::{Series, SourceSpec, open, statistics};
 
-fn data(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name).display().to_string()
-}
-
-fn spec(series: &str) -> SourceSpec {
-    SourceSpec { series: vec![series.to_owned()], ..SourceSpec::default() }
-}
+use super::{data, spec};
 
 /// One line of STATS.tsv: figures worked out independently with NumPy.
 struct Known {
@@ -74,7 +67,7 @@ fn agrees(name: &str, series: &dyn Series) {
 
 #[test]
 fn smoke_agrees_with_the_known_figures() {
-    let series = open(&spec(&data("smoke.h5"))).unwrap();
+    let series = open(&spec(data("smoke.h5"))).unwrap();
     assert_eq!((series.info().field.as_str(), series.info().layout.as_str()), ("density", "hdf5 4-D dataset"));
     assert_eq!(series.info().warnings, Vec::<String>::new());
     agrees("smoke.h5:/density", series.as_ref());
@@ -83,7 +76,7 @@ fn smoke_agrees_with_the_known_figures() {
 #[test]
 fn meep_agrees_with_the_known_figures_with_and_without_axes() {
     for axes in [Some("xyzt".to_owned()), None] {
-        let asked = SourceSpec { axes, ..spec(&data("meep_ez.h5:/ez")) };
+        let asked = SourceSpec { axes, ..spec(data("meep_ez.h5:/ez")) };
         agrees("meep_ez.h5:/ez", open(&asked).unwrap().as_ref());
     }
 }
@@ -91,6 +84,39 @@ fn meep_agrees_with_the_known_figures_with_and_without_axes() {
 #[test]
 fn raw_agrees_with_the_known_figures() {
     let raw = Some("dims=32x32x32,dtype=f64le,offset=24,order=zyx,steps=12,start=150".to_owned());
-    let asked = SourceSpec { raw, time_step: Some(150.0), ..spec(&data("gray_scott_32.raw")) };
+    let asked = SourceSpec { raw, time_step: Some(150.0), ..spec(data("gray_scott_32.raw")) };
     agrees("gray_scott_32.raw", open(&asked).unwrap().as_ref());
+}
+
+#[test]
+fn vtkhdf_agrees_with_the_known_figures() {
+    let series = open(&spec(data("smoke.vtkhdf"))).unwrap();
+    assert_eq!(series.info().layout, "vtkhdf ImageData, temporal");
+    agrees("smoke.vtkhdf:density", series.as_ref());
+}
+
+#[test]
+fn openpmd_agrees_with_the_known_figures() {
+    let series = open(&spec(data("openpmd_gray_scott.h5"))).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.field.as_str()), ("openPMD groupBased", "U"));
+    // gridSpacing 0.5 0.5 0.25 along z, y, x, gridGlobalOffset -1 0 2, position 0.5, in 1e-6 m.
+    let close = |is: [f64; 3], was: [f64; 3]| is.iter().zip(was).all(|(a, b)| (a - b).abs() < 1e-15);
+    assert!(close(info.grid.spacing, [0.25e-6, 0.5e-6, 0.5e-6]), "{:?}", info.grid);
+    assert!(close(info.grid.origin, [2.125e-6, 0.25e-6, -0.75e-6]), "{:?}", info.grid);
+    assert_eq!((info.grid.units.as_str(), info.grid.centering.as_str()), ("m", "cell"));
+    assert!(info.warnings.iter().any(|w| w.contains("unitSI = 2")), "{:?}", info.warnings);
+    agrees("openpmd_gray_scott.h5:U", series.as_ref());
+}
+
+#[test]
+fn netcdf_agrees_with_the_known_figures() {
+    for (field, levels) in [("T", 16), ("u", 16), ("w", 17)] {
+        let asked = SourceSpec { field: Some(field.into()), ..spec(data("oceananigans_thermal_bubble.nc")) };
+        let series = open(&asked).unwrap();
+        let info = series.info();
+        assert_eq!((info.layout.as_str(), info.field.as_str(), info.grid.size[2]), ("netCDF-4", field, levels));
+        assert_eq!(info.grid.units, "m");
+        agrees(&format!("oceananigans_thermal_bubble.nc:{field}"), series.as_ref());
+    }
 }
