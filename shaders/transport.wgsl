@@ -1,5 +1,5 @@
-// One pass of transport along ordinates: I = I_up e^−τ + w₀ S + w₁ S_up, accumulated into φ = Σ w I and J = Σ w Ω I, with
-// w₀ = 1 − (1 − e^−τ)/τ and w₁ = (1 − e^−τ)/τ − e^−τ (both τ/2 where τ < 1e−3); outside the grid σ = S = 0 and I is the inflow.
+// One pass of transport along ordinates: I = I_up e^−τ + w₀ S + w₁ S_up with w₀ = 1 − (1 − e^−τ)/τ, w₁ = (1 − e^−τ)/τ − e^−τ
+// and τ = ½(σ_up + σ)·length, accumulated into φ = Σ w I and J = Σ w Ω I. Outside the grid σ = 0 and I = S = the inflow.
 //
 // Ordinates that share dominant axis and sign run together, one layer a dispatch; coordinates are (b, c, a) as in sweep.wgsl.
 
@@ -64,6 +64,16 @@ fn radiance_index(parity: u32, ordinate: u32, q: vec2<u32>) -> u32 {
     return ((parity * params.count + ordinate) * params.size.y + q.y) * params.size.x + q.x;
 }
 
+// 1 − e^−τ and w₀; the latter by its series where the difference would cancel.
+fn characteristic(tau: f32) -> vec2<f32> {
+    if tau < 0.125 {
+        let w0 = tau * (0.5 - tau * (1.0 / 6.0 - tau * (1.0 / 24.0 - tau * (1.0 / 120.0 - tau / 720.0))));
+        return vec2(tau * (1.0 - w0), w0);
+    }
+    let absorbed = 1.0 - exp(-tau);
+    return vec2(absorbed, 1.0 - absorbed / tau);
+}
+
 // (φ, J) of up to eight ordinates for each of 32 values; summed in the order of the ordinates, so that a pass repeats to the bit.
 var<workgroup> partial: array<vec4<f32>, 256>;
 
@@ -81,13 +91,12 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
             let o = ordinates[d];
             let s = sigma[p];
             let emitted = source_at(p, o.direction);
+            // Before the first layer: half a step through the voxel itself.
             var up = o.inflow;
-            var s_up = s;
+            var s_up = 0.0;
             var emitted_up = emitted;
-            var tau = 0.5 * o.length * s;
             if layer.number > 0u {
                 up = 0.0;
-                s_up = 0.0;
                 emitted_up = 0.0;
                 let toward = select(vec2(-1), vec2(1), o.foot >= vec2(0.0));
                 let f = abs(o.foot);
@@ -104,19 +113,12 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
                         emitted_up += weight * source_at(i, o.direction);
                     } else {
                         up += weight * o.inflow;
+                        emitted_up += weight * o.inflow;
                     }
                 }
-                tau = 0.5 * o.length * (s_up + s);
             }
-            let e = exp(-tau);
-            var w0 = 0.5 * tau;
-            var w1 = w0;
-            if tau >= 1e-3 {
-                let mean = (1.0 - e) / tau;
-                w0 = 1.0 - mean;
-                w1 = mean - e;
-            }
-            let value = up * e + w0 * emitted + w1 * emitted_up;
+            let step = characteristic(0.5 * o.length * (s_up + s));
+            let value = up + step.x * (emitted_up - up) + step.y * (emitted - emitted_up);
             radiance[radiance_index(layer.number & 1u, d, q)] = value;
             own += o.weight * value * vec4(1.0, o.direction);
         }

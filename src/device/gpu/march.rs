@@ -62,6 +62,10 @@ struct TermParams {
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
     let (grid, table) = (march.grid, march.table);
+    if grid.is_empty() || frame.size.contains(&0) {
+        frame.pixels.fill([0.0; 4]);
+        return Ok(());
+    }
     if march.terms.len() > MAX_TERMS {
         let n = march.terms.len();
         return Err(Error::Unsupported(format!("{n} light volumes in one picture on a GPU; at most {MAX_TERMS}")));
@@ -99,11 +103,12 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
 fn params(march: &March, picture: [usize; 2], entries: usize) -> Params {
     let (grid, camera) = (march.grid, march.camera);
     let spacing = DVec3::from(grid.spacing);
+    let (lo, hi) = grid.bounds();
     let aspect = picture[0] as f32 / picture[1] as f32;
     let phong = march.phong;
     Params {
         size: uvec3(grid.size),
-        step: march.step,
+        step: march.step.max((1e-6 * (hi - lo).length()) as f32),
         eye: ((camera.eye.as_dvec3() - DVec3::from(grid.origin)) / spacing).as_vec3(),
         edge: march.bricks.edge as u32,
         forward: camera.forward,
