@@ -1,1 +1,9 @@
-fn main() {}
+//! The `gloaming` program; see `gloaming --help`.
+
+use std::process::ExitCode;
+
+mod cli;
+
+fn main() -> ExitCode {
+    cli::main()
+}

@@ -1,0 +1,110 @@
+//! Progress on stderr: a bar on a terminal, a line a step elsewhere.
+
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+use gloaming::ledger::LedgerRow;
+use indicatif::{HumanDuration, MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Log messages that do not disturb a progress bar: they are printed above it.
+pub fn above(bars: MultiProgress) -> impl Fn() -> Above {
+    move || Above(bars.clone())
+}
+
+/// See [`above`].
+pub struct Above(MultiProgress);
+
+impl Write for Above {
+    fn write(&mut self, text: &[u8]) -> std::io::Result<usize> {
+        self.0.suspend(|| std::io::stderr().write(text))
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        std::io::stderr().flush()
+    }
+}
+
+/// Shows how far a run is.
+pub struct Report {
+    bar: Option<ProgressBar>,
+    quiet: bool,
+    begun: Instant,
+}
+
+impl Report {
+    /// A report on `steps` steps.
+    pub fn new(steps: usize, quiet: bool, bars: &MultiProgress) -> Self {
+        let shown = !quiet && std::io::stderr().is_terminal();
+        let bar = shown.then(|| {
+            let style = ProgressStyle::with_template("{bar:24.cyan} {pos}/{len} steps  {per_sec}  ETA {eta}  {msg}");
+            let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
+            let bar = bars.add(bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())));
+            bar.enable_steady_tick(Duration::from_millis(500));
+            bar
+        });
+        Report { bar, quiet, begun: Instant::now() }
+    }
+
+    /// Shows a step that is finished, `finished` of `total`.
+    pub fn step(&self, finished: usize, total: usize, row: &LedgerRow) {
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position(finished as u64);
+                bar.set_message(figures(row));
+            }
+            None if self.quiet => {}
+            None => {
+                let seconds = self.begun.elapsed().as_secs_f64();
+                let rate = finished as f64 / seconds.max(1e-9);
+                let left = Duration::from_secs_f64((total.saturating_sub(finished)) as f64 / rate);
+                eprintln!("{finished}/{total} steps, {rate:.2}/s, ETA {}: {}", HumanDuration(left), figures(row));
+            }
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) -> Duration {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+        self.begun.elapsed()
+    }
+}
+
+/// What a step cost, in a line.
+fn figures(row: &LedgerRow) -> String {
+    let step = row.step;
+    if !row.lost.is_empty() {
+        return format!("step {step} lost: {}", row.lost);
+    }
+    let mut said = format!("step {step} {}", row.start);
+    if row.bricks_total > 0 {
+        said += &format!(", {}/{} bricks", row.bricks_active, row.bricks_total);
+    }
+    if row.iterations > 0 {
+        said += &format!(", {} iterations", row.iterations);
+    }
+    said +=
+        &format!(", error ≤ {:.1e}, light {:.0} ms, render {:.0} ms", row.certified_error, row.light_ms, row.render_ms);
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_tells_warm_from_cold_and_what_was_lost() {
+        let warm = LedgerRow {
+            step: 7,
+            start: "warm".into(),
+            bricks_active: 3,
+            bricks_total: 64,
+            iterations: 2,
+            ..Default::default()
+        };
+        assert_eq!(figures(&warm), "step 7 warm, 3/64 bricks, 2 iterations, error ≤ 0.0e0, light 0 ms, render 0 ms");
+        let lost = LedgerRow { step: 8, lost: "truncated".into(), ..Default::default() };
+        assert_eq!(figures(&lost), "step 8 lost: truncated");
+    }
+}
