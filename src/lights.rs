@@ -57,8 +57,8 @@ fn first_picture() -> Vec<Light> {
     let distant =
         |direction: [f32; 3], irradiance| Light::Distant { direction: Vec3::from(direction).normalize(), irradiance };
     vec![
-        distant([-0.9, 0.4, -0.8], [7.0, 6.7, 6.3]),
-        distant([-0.3, -0.9, -0.25], [1.2, 1.35, 1.6]),
+        distant([0.43, 1.06, -1.0], [7.0, 6.7, 6.3]),
+        distant([-1.08, 0.07, -0.2], [1.2, 1.35, 1.6]),
         Light::Environment { radiance: [0.12, 0.13, 0.15] },
     ]
 }
@@ -89,6 +89,8 @@ fn distant(keys: &LightKeys, irradiance: [f32; 3]) -> Vec<Light> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Grid;
+    use crate::camera::Camera;
 
     fn scene(text: &str) -> Scene {
         Scene::parse(text, "test", &[]).unwrap()
@@ -141,9 +143,9 @@ mod tests {
             panic!("{lights:?}")
         };
         assert!(direction.z < 0.0, "the key light travels downwards");
-        let eye = Vec3::new(30f32.to_radians().cos(), 30f32.to_radians().sin(), 0.0);
-        assert!(direction.dot(eye) < 0.0, "the key light comes from the camera's side");
-        assert!(direction.dot(Vec3::Z.cross(eye)) > 0.0, "and from its left");
+        let camera = Camera::framed(&Default::default(), &Grid::new([8; 3]), 1.5, 0).unwrap();
+        assert!(direction.dot(camera.forward) > 0.0, "the key light comes from the camera's side");
+        assert!(direction.dot(camera.right) > 0.0, "and from its left");
         assert!(key[1] > 3.0 * fill[1] && fill[1] > radiance[1]);
     }
 }

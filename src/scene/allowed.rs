@@ -38,7 +38,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("cameras.azimuth", "degrees, finite"),
     ("cameras.elevation", "degrees from -90 to 90"),
     ("cameras.zoom", "a factor above 0"),
-    ("cameras.fov", "degrees above 0 and below 180"),
+    ("cameras.fov", "degrees from 1 to 170"),
     ("cameras.position", "[x, y, z], finite, away from the target"),
     ("cameras.target", "[x, y, z], finite, away from the position"),
     ("cameras.up", "[x, y, z], finite, not all 0 and not along the view"),

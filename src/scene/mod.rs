@@ -299,7 +299,7 @@ pub enum OpacityScale {
 pub struct CameraKeys {
     /// Name, for `{camera}` in output paths.
     pub name: String,
-    /// Degrees about the up axis, counterclockwise seen from above; with `up` = +z, 0 looks from +x and 90 from +y.
+    /// Degrees about the up axis, anticlockwise seen from above; with `up` = +z, 0 looks along +y and 90 along −x.
     pub azimuth: f64,
     /// Degrees above the horizon.
     pub elevation: f64,

@@ -133,7 +133,7 @@ fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
     require(keys.azimuth.is_finite(), &key("azimuth"), keys.azimuth)?;
     require((-90.0..=90.0).contains(&keys.elevation), &key("elevation"), keys.elevation)?;
     require(keys.zoom > 0.0 && keys.zoom.is_finite(), &key("zoom"), keys.zoom)?;
-    require(keys.fov > 0.0 && keys.fov < 180.0, &key("fov"), keys.fov)?;
+    require((1.0..=170.0).contains(&keys.fov), &key("fov"), keys.fov)?;
     require(direction(keys.up), &key("up"), keys.up)?;
     require(keys.orbit.is_finite(), &key("orbit"), keys.orbit)?;
     require(keys.target.is_none_or(finite3), &key("target"), keys.target)?;
