@@ -17,17 +17,7 @@ pub(crate) fn classify(
     size: [usize; 3],
     out: &mut [f32],
 ) {
-    let curve: Vec<f32> = (0..table.extinction.len())
-        .map(|i| {
-            let (sigma, albedo) = (table.extinction[i], table.albedo[i]);
-            match optic {
-                Optic::Extinction => sigma,
-                Optic::ScaledExtinction { f } => sigma * (1.0 - f * (albedo[0] + albedo[1] + albedo[2]) / 3.0),
-                Optic::Scattering { channel } => sigma * albedo[channel],
-                Optic::Emission { channel } => table.emission.get(i).map_or(0.0, |e| e[channel]),
-            }
-        })
-        .collect();
+    let curve = optic.curve(table);
     let (lo, scale) = (table.lo, table.scale());
     mean(data, size, out, |row, values| look_up(&field[row * data[0]..][..data[0]], &curve, lo, scale, values));
 }

@@ -1,1 +1,343 @@
-//! wgpu adapters as devices.
+//! wgpu adapters as devices: Vulkan, Metal and DX12 hardware, and software Vulkan for tests.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use encase::{ShaderType, UniformBuffer, internal::WriteInto};
+
+use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::grid::BrickLayout;
+use crate::transfer::Table;
+
+mod adapter;
+mod bricks;
+mod classify;
+mod compose;
+mod march;
+pub mod shader;
+mod source;
+mod sweep;
+mod transport;
+
+pub use adapter::{AdapterReport, adapters};
+use shader::{Kernel, Shader};
+
+/// Bytes moved between host and device at a time: bounds the staging memory of a large volume.
+const STAGING: usize = 64 << 20;
+/// Most workgroups along one axis of a dispatch.
+const MAX_GROUPS: usize = 65_535;
+
+/// A wgpu adapter.
+pub struct Gpu {
+    report: AdapterReport,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    kernels: Mutex<HashMap<&'static str, Arc<Kernel>>>,
+    /// What went wrong on the device since somebody last looked; losing the device is never forgotten.
+    failure: Arc<Mutex<Option<Failure>>>,
+}
+
+#[derive(Debug, Clone)]
+struct Failure {
+    message: String,
+    lost: bool,
+}
+
+impl Gpu {
+    /// Opens the best hardware adapter, or, given a name, the best one whose name, driver or backend contains it in any
+    /// case (`lavapipe` and `llvmpipe` are software Vulkan).
+    pub fn open(name: Option<&str>) -> Result<Self> {
+        match name {
+            Some(name) => Self::new(adapter::named(name)?),
+            None => Self::hardware()?.ok_or_else(|| {
+                let software = adapters().into_iter().map(|a| a.name).next();
+                let instead = software.map(|n| format!(", or --device '{n}' (software)")).unwrap_or_default();
+                Error::Device(format!("no GPU found, or no driver for it\n  try: --device cpu{instead}"))
+            }),
+        }
+    }
+
+    /// The best hardware adapter, opened; `None` where there is none.
+    pub fn hardware() -> Result<Option<Self>> {
+        adapter::hardware().map(Self::new).transpose()
+    }
+
+    fn new(adapter: wgpu::Adapter) -> Result<Self> {
+        let report = adapter::report(&adapter);
+        let request = adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("gloaming"),
+            required_features: wgpu::Features::IMMEDIATES,
+            required_limits: adapter.limits(),
+            ..Default::default()
+        });
+        let (device, queue) = pollster::block_on(request)
+            .map_err(|e| Error::Device(format!("{} cannot be opened: {e}\n  try: --device cpu", report.name)))?;
+        let failure = Arc::new(Mutex::new(None));
+        let slot = failure.clone();
+        device.on_uncaptured_error(Arc::new(move |e| note(&slot, Failure { message: e.to_string(), lost: false })));
+        let slot = failure.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                note(&slot, Failure { message: format!("the device was lost: {message}"), lost: true });
+            }
+        });
+        Ok(Gpu { report, device, queue, kernels: Mutex::default(), failure })
+    }
+
+    /// What [`adapters`] says of this one.
+    pub fn report(&self) -> &AdapterReport {
+        &self.report
+    }
+
+    /// The error that the device has reported, if any.
+    fn check(&self) -> Result<()> {
+        let mut slot = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(failure) = slot.clone() else { return Ok(()) };
+        if !failure.lost {
+            *slot = None;
+        }
+        Err(Error::Device(format!("{}: {}\n  try: --device cpu", self.report.name, failure.message)))
+    }
+
+    fn kernel(&self, shader: &Shader) -> Result<Arc<Kernel>> {
+        let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kernel) = kernels.get(shader.name) {
+            return Ok(kernel.clone());
+        }
+        let kernel = Arc::new(Kernel::new(&self.device, shader)?);
+        self.check()?;
+        kernels.insert(shader.name, kernel.clone());
+        Ok(kernel)
+    }
+
+    /// A zeroed buffer of `bytes`, which kernels can bind whole.
+    fn raw(&self, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer> {
+        let budget = self.report.max_binding.min(self.report.max_buffer);
+        if bytes > budget {
+            return Err(Error::OutOfMemory { needed: bytes, budget });
+        }
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            // A binding holds at least one element of the array it is bound to, used or not; copies move whole words.
+            size: bytes.max(256).next_multiple_of(4),
+            usage: usage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        if pollster::block_on(scope.pop()).is_some() {
+            let name = &self.report.name;
+            return Err(Error::Device(format!(
+                "{name}: no memory left for {bytes} bytes\n  try: a smaller --memory, or --device cpu"
+            )));
+        }
+        self.check()?;
+        Ok(buffer)
+    }
+
+    /// Scratch memory of `len` zeros.
+    fn scratch(&self, len: usize) -> Result<wgpu::Buffer> {
+        self.raw(4 * len as u64, wgpu::BufferUsages::STORAGE)
+    }
+
+    /// A storage buffer that holds `values`.
+    fn storage<T: bytemuck::NoUninit>(&self, values: &[T]) -> Result<wgpu::Buffer> {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        let buffer = self.raw(bytes.len() as u64, wgpu::BufferUsages::STORAGE)?;
+        self.queue.write_buffer(&buffer, 0, bytes);
+        Ok(buffer)
+    }
+
+    /// A storage buffer that holds an array of structures, laid out for WGSL.
+    fn structures<T: ShaderType>(&self, values: &[T]) -> Result<wgpu::Buffer>
+    where
+        for<'a> &'a [T]: ShaderType + WriteInto,
+    {
+        let mut bytes = encase::StorageBuffer::new(Vec::<u8>::new());
+        bytes.write(&values).map_err(|e| Error::Device(format!("a storage buffer: {e}")))?;
+        self.storage(&bytes.into_inner())
+    }
+
+    fn uniform<P: ShaderType + WriteInto>(&self, params: &P) -> Result<wgpu::Buffer> {
+        let mut bytes = UniformBuffer::new(Vec::<u8>::new());
+        bytes.write(params).map_err(|e| Error::Device(format!("a uniform: {e}")))?;
+        let buffer = self.raw(bytes.as_ref().len() as u64, wgpu::BufferUsages::UNIFORM)?;
+        self.queue.write_buffer(&buffer, 0, bytes.as_ref());
+        Ok(buffer)
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device.create_command_encoder(&Default::default())
+    }
+
+    fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<()> {
+        self.queue.submit([encoder.finish()]);
+        self.check()
+    }
+
+    /// Binds a kernel's buffers and runs one of its entry points once.
+    fn run(&self, shader: &Shader, entry: &str, buffers: &[(&str, &wgpu::Buffer)], groups: [usize; 3]) -> Result<()> {
+        let kernel = self.kernel(shader)?;
+        let bound = kernel.bind(&self.device, buffers)?;
+        let mut encoder = self.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_pipeline(kernel.pipeline(entry)?);
+            pass.set_bind_group(0, &bound, &[]);
+            dispatch(&mut pass, groups);
+        }
+        self.submit(encoder)
+    }
+
+    /// Waits for the device and copies the start of a buffer to the host.
+    fn read(&self, buffer: &wgpu::Buffer, out: &mut [u8]) -> Result<()> {
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: (out.len().min(STAGING) as u64).max(4),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        self.check()?;
+        for (i, part) in out.chunks_mut(STAGING).enumerate() {
+            let bytes = part.len() as u64;
+            let mut encoder = self.encoder();
+            encoder.copy_buffer_to_buffer(buffer, (i * STAGING) as u64, &staging, 0, bytes);
+            self.submit(encoder)?;
+            // What mapping has to say also reaches `get_mapped_range`.
+            staging.map_async(wgpu::MapMode::Read, 0..bytes, |_| {});
+            let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
+            self.check()?;
+            waited.map_err(|e| Error::Device(format!("{}: {e}", self.report.name)))?;
+            let mapped = staging.get_mapped_range(0..bytes);
+            part.copy_from_slice(&mapped.map_err(|e| Error::Device(format!("{}: {e}", self.report.name)))?);
+            staging.unmap();
+        }
+        Ok(())
+    }
+
+    /// The first `len` values of a buffer.
+    fn values<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, len: usize) -> Result<Vec<T>> {
+        let mut out = vec![T::zeroed(); len];
+        self.read(buffer, bytemuck::cast_slice_mut(&mut out))?;
+        Ok(out)
+    }
+}
+
+fn note(slot: &Mutex<Option<Failure>>, failure: Failure) {
+    let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+    // The first failure is the cause; losing the device outweighs it.
+    if slot.as_ref().is_none_or(|f| failure.lost && !f.lost) {
+        *slot = Some(failure);
+    }
+}
+
+/// The device's own buffer. A buffer of another device is a bug of ours.
+fn gpu(buffer: &Buffer) -> Result<&wgpu::Buffer> {
+    match &buffer.0 {
+        Storage::Gpu { buffer, .. } => Ok(buffer),
+        Storage::Host(_) => Err(Error::Device("a buffer of the CPU was given to a GPU".into())),
+    }
+}
+
+/// Starts `groups` workgroups; a long row is folded, and the kernel unfolds it (`shaders/grid.wgsl`).
+fn dispatch(pass: &mut wgpu::ComputePass, groups: [usize; 3]) {
+    let [x, y, z] = groups;
+    let [x, y] = if x > MAX_GROUPS { [MAX_GROUPS, y * x.div_ceil(MAX_GROUPS)] } else { [x, y] };
+    if x * y * z > 0 {
+        pass.dispatch_workgroups(x as u32, y as u32, z as u32);
+    }
+}
+
+/// Sizes and indices as WGSL has them.
+fn uvec3(v: [usize; 3]) -> glam::UVec3 {
+    glam::UVec3::from_array(v.map(|n| n as u32))
+}
+
+/// Fails where an array of `values` is too short for a grid of `size`.
+fn holds(buffer: &Buffer, values: usize) -> Result<&wgpu::Buffer> {
+    if buffer.len() < values {
+        return Err(Error::Device(format!("a buffer of {} values was given for {values}", buffer.len())));
+    }
+    gpu(buffer)
+}
+
+impl Device for Gpu {
+    fn name(&self) -> String {
+        format!("{} ({})", self.report.name, self.report.backend)
+    }
+
+    fn alloc(&self, len: usize) -> Result<Buffer> {
+        Ok(Buffer(Storage::Gpu { buffer: self.scratch(len)?, len }))
+    }
+
+    fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()> {
+        let buffer = holds(into, values.len())?;
+        for (i, part) in values.chunks(STAGING / 4).enumerate() {
+            self.queue.write_buffer(buffer, (i * STAGING) as u64, bytemuck::cast_slice(part));
+            // Hands the staging memory over instead of gathering a second copy of the volume.
+            self.queue.submit([]);
+        }
+        self.check()
+    }
+
+    fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()> {
+        self.read(holds(from, out.len())?, bytemuck::cast_slice_mut(out))
+    }
+
+    fn classify(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: [usize; 3],
+        field: &Buffer,
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        classify::classify(self, optic, table, data, field, size, out)
+    }
+
+    fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
+        bricks::brick_range(self, layout, field)
+    }
+
+    fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>> {
+        bricks::change(self, layout, now, before)
+    }
+
+    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()> {
+        classify::restrict(self, size, values, coarse, out)
+    }
+
+    fn sweep(
+        &self,
+        sweep: &Sweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        sweep::sweep(self, sweep, layout, sigma, rho, fronts)
+    }
+
+    fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
+        source::source(self, term, source, gradient)
+    }
+
+    fn transport(
+        &self,
+        transport: &Transport,
+        phi: &mut Buffer,
+        current: Option<[&mut Buffer; 3]>,
+    ) -> Result<(f32, f32)> {
+        transport::transport(self, transport, phi, current)
+    }
+
+    fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
+        compose::compose(self, terms, out)
+    }
+
+    fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
+        march::march(self, march, frame)
+    }
+}

@@ -41,6 +41,26 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], out: &mut Tile) {
     }
 }
 
+/// `[value with a = 0, with a = 1, with a = 2]`. Not a closure: one would be compiled without the caller's instruction set.
+macro_rules! three {
+    ($a:ident => $value:expr) => {
+        [
+            {
+                let $a = 0;
+                $value
+            },
+            {
+                let $a = 1;
+                $value
+            },
+            {
+                let $a = 2;
+                $value
+            },
+        ]
+    };
+}
+
 #[inline(always)]
 fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
     a[0] * V::splat(b.x) + a[1] * V::splat(b.y) + a[2] * V::splat(b.z)
@@ -70,12 +90,11 @@ impl<V: Lanes> Rays<V> {
         let (one, two, half) = (V::splat(1.0), V::splat(2.0), V::splat(0.5));
         let px = two * (V::from_fn(|l| (at[0] + l % w) as f32) + half) / width - one;
         let py = two * (V::from_fn(|l| (at[1] + l / w) as f32) + half) / height - one;
-        let way: [V; 3] = std::array::from_fn(|a| {
-            V::splat(plan.forward[a]) + px * V::splat(plan.right[a]) - py * V::splat(plan.up[a])
-        });
+        let way: [V; 3] =
+            three!(a => V::splat(plan.forward[a]) + px * V::splat(plan.right[a]) - py * V::splat(plan.up[a]));
         let norm = dots(way, way).sqrt();
-        let direction = way.map(|d| d / norm);
-        let slope: [V; 3] = std::array::from_fn(|a| direction[a] * V::splat(plan.per_length[a]));
+        let direction = three!(a => way[a] / norm);
+        let slope = three!(a => direction[a] * V::splat(plan.per_length[a]));
 
         // Slabs. A component of nearly 0 counts as barely positive: neither 0/0 nor ∞·0 can arise.
         let (mut near, mut far) = (V::splat(0.0), V::splat(f32::MAX));
@@ -90,7 +109,7 @@ impl<V: Lanes> Rays<V> {
         // Also turns a NaN into a ray that misses.
         let length = V::select(V::splat(0.0).lt(length) & length.lt(V::splat(f32::MAX)), length, V::splat(0.0));
         let near = V::select(V::splat(0.0).lt(length), near, V::splat(0.0));
-        let start = std::array::from_fn(|a| V::splat(plan.eye[a]) + near * slope[a]);
+        let start = three!(a => V::splat(plan.eye[a]) + near * slope[a]);
         Rays { start, slope, direction, length, step: V::splat(plan.step) }
     }
 
@@ -106,7 +125,7 @@ impl<V: Lanes> Rays<V> {
         let t = n * self.step;
         let ds = self.step.min(self.length - t);
         let t = t + V::splat(0.5) * ds;
-        (std::array::from_fn(|a| self.start[a] + t * self.slope[a]), ds)
+        (three!(a => self.start[a] + t * self.slope[a]), ds)
     }
 }
 
@@ -121,10 +140,10 @@ impl<V: Lanes> Cell<V> {
     #[inline(always)]
     fn new(lattice: &Lattice, position: [V; 3]) -> Self {
         // `max` first: it turns a NaN into 0, so that indices stay inside whatever comes.
-        let clamped: [V; 3] = std::array::from_fn(|a| position[a].max(V::splat(0.0)).min(V::splat(lattice.last[a])));
-        let corner: [V::Int; 3] = std::array::from_fn(|a| clamped[a].min(V::splat(lattice.last_cell[a])).trunc());
-        let upper: [V; 3] = std::array::from_fn(|a| clamped[a] - V::float(corner[a]));
-        Cell { first: V::linear(corner, lattice.stride), upper, lower: upper.map(|f| V::splat(1.0) - f) }
+        let clamped = three!(a => position[a].max(V::splat(0.0)).min(V::splat(lattice.last[a])));
+        let corner = three!(a => clamped[a].min(V::splat(lattice.last_cell[a])).trunc());
+        let upper = three!(a => clamped[a] - V::float(corner[a]));
+        Cell { first: V::linear(corner, lattice.stride), upper, lower: three!(a => V::splat(1.0) - upper[a]) }
     }
 
     /// `a·lower + b·upper`: unlike `a + (b − a)·upper` exact at both ends, also beside a hole.
@@ -140,7 +159,7 @@ impl<V: Lanes> Cell<V> {
         let [y, z, yz] = lattice.corners;
         // SAFETY: a cell's lower corner is at most last_cell along each axis, so that the corners' offsets (0 along an axis
         // with one value; rows have at least two) stay inside; `tile` has checked REACH.
-        let rows = unsafe {
+        let [a, b, c, d] = unsafe {
             [
                 V::pairs(p, self.first),
                 V::pairs(p.add(y), self.first),
@@ -148,8 +167,9 @@ impl<V: Lanes> Cell<V> {
                 V::pairs(p.add(yz), self.first),
             ]
         };
-        let [a, b, c, d] = rows.map(|pair| self.mix(0, pair));
-        self.mix(2, (self.mix(1, (a, b)), self.mix(1, (c, d))))
+        let front = self.mix(1, (self.mix(0, a), self.mix(0, b)));
+        let back = self.mix(1, (self.mix(0, c), self.mix(0, d)));
+        self.mix(2, (front, back))
     }
 }
 
@@ -188,17 +208,17 @@ fn extinction<V: Lanes>(optics: &Optics, value: V) -> V {
 #[inline(always)]
 fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
     match *weight {
-        Weight::Uniform(rgb) => rgb.map(V::splat),
+        Weight::Uniform(rgb) => three!(c => V::splat(rgb[c])),
         Weight::Phase { direction: travel, irradiance, g } => {
             // Henyey–Greenstein: (1 − g²) / (4π (1 + g² − 2g cos θ)^1.5), the way to the eye being −direction.
             let cos = V::splat(0.0) - dot(direction, travel);
             let s = (V::splat(1.0 + g * g) - V::splat(2.0 * g) * cos).max(V::splat(1e-12));
             let p = V::splat((1.0 - g * g) / (4.0 * std::f32::consts::PI)) / (s * s.sqrt());
-            irradiance.map(|e| V::splat(e) * p)
+            three!(c => V::splat(irradiance[c]) * p)
         }
         Weight::Current { axis, weight } => {
             let to_eye = V::splat(0.0) - direction[axis];
-            weight.map(|w| V::splat(w) * to_eye)
+            three!(c => V::splat(weight[c]) * to_eye)
         }
     }
 }
@@ -214,35 +234,38 @@ fn in_scatter<V: Lanes>(groups: &[Group], weights: &[[V; 3]], position: [V; 3], 
         let cell = if group.with_data {
             cell
         } else {
-            own = Cell::new(
-                lattice,
-                std::array::from_fn(|a| position[a] * V::splat(lattice.scale[a]) + V::splat(lattice.shift[a])),
-            );
+            own =
+                Cell::new(lattice, three!(a => position[a] * V::splat(lattice.scale[a]) + V::splat(lattice.shift[a])));
             &own
         };
         for ((volume, _), weight) in group.terms.iter().zip(&mut weights) {
             let value = cell.value(lattice, volume);
-            sum = std::array::from_fn(|c| sum[c] + weight[c] * value);
+            sum = three!(c => sum[c] + weight[c] * value);
         }
     }
-    sum.map(|s| s.max(V::splat(0.0)))
+    three!(c => sum[c].max(V::splat(0.0)))
+}
+
+/// Extinction at `position` moved along an axis.
+#[inline(always)]
+fn beside<V: Lanes>(plan: &Plan, mut position: [V; 3], axis: usize, offset: f32) -> V {
+    position[axis] = position[axis] + V::splat(offset);
+    extinction(&plan.optics, Cell::new(&plan.lattice, position).value(&plan.lattice, &plan.data))
 }
 
 /// Factor on in-scattered radiance: see [`Phong`].
 #[inline(always)]
 fn shade<V: Lanes>(plan: &Plan, phong: &Phong, direction: [V; 3], position: [V; 3], sigma: V) -> V {
-    let at = |axis: usize, offset: f32| {
-        let mut position = position;
-        position[axis] = position[axis] + V::splat(offset);
-        extinction(&plan.optics, Cell::new(&plan.lattice, position).value(&plan.lattice, &plan.data))
-    };
-    let gradient: [V; 3] = std::array::from_fn(|a| (at(a, 1.0) - at(a, -1.0)) * V::splat(0.5 * plan.per_length[a]));
+    let gradient = three!(a => {
+        let difference = beside(plan, position, a, 1.0) - beside(plan, position, a, -1.0);
+        difference * V::splat(0.5 * plan.per_length[a])
+    });
     let steepness = dots(gradient, gradient).sqrt();
     let per_steepness = V::splat(-1.0) / steepness.max(V::splat(1e-20));
-    let normal = gradient.map(|g| g * per_steepness);
+    let normal = three!(a => gradient[a] * per_steepness);
 
     let light = phong.towards_light;
-    let half: [V; 3] = std::array::from_fn(|a| V::splat(light[a]) - direction[a]);
+    let half = three!(a => V::splat(light[a]) - direction[a]);
     let zero = V::splat(0.0);
     let lambert = dot(normal, light).max(zero);
     let cos = (dots(normal, half) / dots(half, half).sqrt().max(V::splat(1e-20))).max(zero);
@@ -265,7 +288,7 @@ fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
     loop {
         let (position, ds) = rays.sample(n);
         // The brick of the cell that the sample reads, so that rounding cannot put a sample into the wrong brick.
-        let brick: [V::Int; 3] = std::array::from_fn(|a| {
+        let brick = three!(a => {
             let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.lattice.last_cell[a])).trunc();
             ((V::float(cell) + V::splat(0.5)) * V::splat(empty.per_edge)).trunc()
         });
@@ -333,23 +356,23 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 
                 let mut source = in_scatter(&plan.groups, weights, position, &cell);
                 if let Some(phong) = &plan.phong {
                     let factor = shade(plan, phong, rays.direction, position, sigma);
-                    source = source.map(|s| s * factor);
+                    source = three!(c => source[c] * factor);
                 }
                 let scattered = match &optics.albedo {
-                    Albedo::Constant(albedo) => std::array::from_fn(|c| source[c] * V::splat(albedo[c])),
+                    Albedo::Constant(albedo) => three!(c => source[c] * V::splat(albedo[c])),
                     Albedo::Gray(column) => {
                         let albedo = entry.of(column);
-                        source.map(|s| s * albedo)
+                        three!(c => source[c] * albedo)
                     }
-                    Albedo::Rgb(columns) => std::array::from_fn(|c| source[c] * entry.of(&columns[c])),
+                    Albedo::Rgb(columns) => three!(c => source[c] * entry.of(&columns[c])),
                 };
-                radiance = std::array::from_fn(|c| radiance[c] + opaque * scattered[c]);
+                radiance = three!(c => radiance[c] + opaque * scattered[c]);
             }
             if let Some(emission) = &optics.emission {
                 let thin = sigma * ds;
                 let path = V::select(V::splat(1e-20).lt(thin), alpha / sigma, V::select(inside, ds, zero));
                 let glow = transmittance * path;
-                radiance = std::array::from_fn(|c| radiance[c] + glow * entry.of(&emission[c]));
+                radiance = three!(c => radiance[c] + glow * entry.of(&emission[c]));
             }
             transmittance = transmittance - opaque;
             live = live & V::splat(March::OPAQUE).lt(transmittance);

@@ -81,11 +81,22 @@ pub(super) struct Array<const N: usize>([f32; N]);
 #[derive(Clone, Copy)]
 pub(super) struct Flags<const N: usize>([bool; N]);
 
+/// `[f(0), …, f(N − 1)]` without a closure, which would be compiled without the caller's instruction set and might stay a call.
+macro_rules! each {
+    ($i:ident: $n:expr, $zero:expr => $value:expr) => {{
+        let mut lanes = [$zero; $n];
+        for $i in 0..$n {
+            lanes[$i] = $value;
+        }
+        lanes
+    }};
+}
+
 impl<const N: usize> BitAnd for Flags<N> {
     type Output = Self;
     #[inline(always)]
     fn bitand(self, other: Self) -> Self {
-        Flags(std::array::from_fn(|i| self.0[i] & other.0[i]))
+        Flags(each!(i: N, false => self.0[i] & other.0[i]))
     }
 }
 
@@ -95,7 +106,7 @@ macro_rules! array_operator {
             type Output = Self;
             #[inline(always)]
             fn $name(self, other: Self) -> Self {
-                Array(std::array::from_fn(|i| self.0[i] $op other.0[i]))
+                Array(each!(i: N, 0.0 => self.0[i] $op other.0[i]))
             }
         }
     )*};
@@ -120,8 +131,8 @@ unsafe impl<const N: usize> Lanes for Array<N> {
         Array([value; N])
     }
     #[inline(always)]
-    fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
-        Array(std::array::from_fn(f))
+    fn from_fn(mut f: impl FnMut(usize) -> f32) -> Self {
+        Array(each!(i: N, 0.0 => f(i)))
     }
     #[inline(always)]
     fn store(self, out: &mut [f32]) {
@@ -129,49 +140,54 @@ unsafe impl<const N: usize> Lanes for Array<N> {
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
-        Array(std::array::from_fn(|i| if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] }))
+        Array(each!(i: N, 0.0 => if self.0[i] > other.0[i] { self.0[i] } else { other.0[i] }))
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
-        Array(std::array::from_fn(|i| if self.0[i] < other.0[i] { self.0[i] } else { other.0[i] }))
+        Array(each!(i: N, 0.0 => if self.0[i] < other.0[i] { self.0[i] } else { other.0[i] }))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Array(self.0.map(f32::sqrt))
+        Array(each!(i: N, 0.0 => self.0[i].sqrt()))
     }
     #[inline(always)]
     fn lt(self, other: Self) -> Flags<N> {
-        Flags(std::array::from_fn(|i| self.0[i] < other.0[i]))
+        Flags(each!(i: N, false => self.0[i] < other.0[i]))
     }
     #[inline(always)]
     fn select(mask: Flags<N>, yes: Self, no: Self) -> Self {
-        Array(std::array::from_fn(|i| if mask.0[i] { yes.0[i] } else { no.0[i] }))
+        Array(each!(i: N, 0.0 => if mask.0[i] { yes.0[i] } else { no.0[i] }))
     }
     #[inline(always)]
     fn any(mask: Flags<N>) -> bool {
-        mask.0.iter().fold(false, |any, &m| any | m)
+        let mut any = false;
+        for flag in mask.0 {
+            any |= flag;
+        }
+        any
     }
     #[inline(always)]
     fn trunc(self) -> [isize; N] {
         // SAFETY: lanes fit an i32, by the contract of `trunc`; callers clamp, and clamping maps NaN into the range.
-        self.0.map(|v| unsafe { v.to_int_unchecked::<i32>() as isize })
+        each!(i: N, 0 => unsafe { self.0[i].to_int_unchecked::<i32>() as isize })
     }
     #[inline(always)]
     fn float(int: [isize; N]) -> Self {
-        Array(int.map(|v| v as i32 as f32))
+        Array(each!(i: N, 0.0 => int[i] as i32 as f32))
     }
     #[inline(always)]
     fn linear(i: [[isize; N]; 3], stride: [usize; 2]) -> [isize; N] {
-        std::array::from_fn(|l| i[0][l] + i[1][l] * stride[0] as isize + i[2][l] * stride[1] as isize)
+        each!(l: N, 0 => i[0][l] + i[1][l] * stride[0] as isize + i[2][l] * stride[1] as isize)
     }
     #[inline(always)]
     fn exp2i(n: Self) -> Self {
-        Array(n.0.map(|v| f32::from_bits(((v + 127.0) as i32 as u32) << 23)))
+        // SAFETY: 1 ≤ n + 127 ≤ 127, by the contract of `exp2i`.
+        Array(each!(i: N, 0.0 => f32::from_bits(unsafe { (n.0[i] + 127.0).to_int_unchecked::<i32>() as u32 } << 23)))
     }
     #[inline(always)]
     unsafe fn gather(values: *const f32, index: [isize; N]) -> Self {
         // SAFETY: indices are inside the array, by this function's contract.
-        Array(index.map(|i| unsafe { *values.offset(i) }))
+        Array(each!(i: N, 0.0 => unsafe { *values.offset(index[i]) }))
     }
     #[inline(always)]
     unsafe fn pairs(values: *const f32, index: [isize; N]) -> (Self, Self) {

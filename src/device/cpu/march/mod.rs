@@ -26,10 +26,17 @@ pub fn march(march: &March, frame: &mut Frame) {
     tiles(&plan, frame, at_level(level));
 }
 
-/// The scalar twin of [`march()`]: one ray after another in plain f32 code, with the same skipping and the same tiles.
+/// The scalar twin of [`march()`]: one ray after another in plain f32 code, with the same skipping and the same tiles,
+/// compiled for the same instruction set.
 pub fn march_scalar(march: &March, frame: &mut Frame) {
     let Some(plan) = Plan::new(march, frame.size) else { return frame.pixels.fill([0.0; 4]) };
-    tiles(&plan, frame, tile::<Array<1>>);
+    let kernel: Kernel = match simd::level() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: `simd::level` has asked the processor.
+        Level::Avx512 | Level::Avx2 => |plan, first, out| unsafe { x86::scalar(plan, first, out) },
+        _ => tile::<Array<1>>,
+    };
+    tiles(&plan, frame, kernel);
 }
 
 type Kernel = fn(&Plan, [usize; 2], &mut Tile);
@@ -50,7 +57,7 @@ fn at_level(level: Level) -> Kernel {
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::kernel::{Tile, tile};
-    use super::lanes::{Avx2, Avx512};
+    use super::lanes::{Array, Avx2, Avx512};
     use super::plan::Plan;
 
     #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,bmi2,lzcnt,popcnt")]
@@ -61,6 +68,11 @@ mod x86 {
     #[target_feature(enable = "avx2,bmi2,lzcnt,popcnt")]
     pub(super) fn avx2(plan: &Plan, first: [usize; 2], out: &mut Tile) {
         tile::<Avx2>(plan, first, out);
+    }
+
+    #[target_feature(enable = "avx2,bmi2,lzcnt,popcnt")]
+    pub(super) fn scalar(plan: &Plan, first: [usize; 2], out: &mut Tile) {
+        tile::<Array<1>>(plan, first, out);
     }
 }
 

@@ -1,0 +1,38 @@
+// Mean of an optical property over the data voxels under each light voxel, after the transfer function; holes count as zero.
+// field, table → out
+
+struct Params {
+    // Sizes of the data and of the light grid: both fill the same box.
+    data: vec3<u32>,
+    lo: f32,
+    size: vec3<u32>,
+    scale: f32,
+    entries: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> field: array<f32>;
+@group(0) @binding(2) var<storage, read> table: array<f32>;
+@group(0) @binding(3) var<storage, read_write> out: array<f32>;
+
+fn optic(value: f32) -> f32 {
+    if value < HOLE { return 0.0; }
+    let e = entry(value, params.lo, params.scale, params.entries);
+    return mix(table[e.below], table[min(e.below + 1u, params.entries - 1u)], e.fraction);
+}
+
+@compute @workgroup_size(8, 8)
+fn classify(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id >= params.size) { return; }
+    let cover = covered(params.data, params.size, id);
+    var sum = 0.0;
+    for (var k = cover.start.z; k < cover.end.z; k++) {
+        for (var j = cover.start.y; j < cover.end.y; j++) {
+            for (var i = cover.start.x; i < cover.end.x; i++) {
+                let p = vec3(i, j, k);
+                sum += overlap(params.data, params.size, id, p) * optic(field[index(params.data, p)]);
+            }
+        }
+    }
+    out[index(params.size, id)] = sum;
+}

@@ -1,0 +1,258 @@
+// Ray casting through data lit by light volumes: L = ∫ T σ_t [ω max(0, Σ weight·value) + j/σ_t] ds. A ray is cut into
+// intervals of `step` from where it enters the box, sampled in the middle of each; α = 1 − e^(−σ_t ds).
+// field, table, majorant, terms, light0…7 → pixels
+//
+// Positions are in values of the data grid: value (i, j, k) sits at (i, j, k), the box reaches half a value beyond.
+
+struct Params {
+    size: vec3<u32>,
+    step: f32,
+    eye: vec3<f32>,
+    // Edge of a brick.
+    edge: u32,
+    forward: vec3<f32>,
+    // First value and inverse range of the table.
+    lo: f32,
+    // Already times tan of half the field of view (and aspect): a picture reaches from −1 to 1.
+    right: vec3<f32>,
+    scale: f32,
+    up: vec3<f32>,
+    entries: u32,
+    per_world: vec3<f32>,
+    terms: u32,
+    picture: vec2<u32>,
+    // Whether `majorant` is there, and whether to shade.
+    skip: u32,
+    shade: u32,
+    towards_light: vec3<f32>,
+    ambient: f32,
+    diffuse: f32,
+    specular: f32,
+    shininess: f32,
+    // Mean spacing.
+    spacing: f32,
+}
+
+// Single-scattering properties of a table entry.
+struct Optics {
+    albedo: vec3<f32>,
+    extinction: f32,
+    emission: vec3<f32>,
+}
+
+const UNIFORM: u32 = 0u;
+const PHASE: u32 = 1u;
+const CURRENT: u32 = 2u;
+
+struct Term {
+    size: vec3<u32>,
+    // Which light buffer, and where in it.
+    slot: u32,
+    weight: vec3<f32>,
+    first: u32,
+    direction: vec3<f32>,
+    g: f32,
+    kind: u32,
+    // 1 where the term before has the same size.
+    same_grid: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> field: array<f32>;
+@group(0) @binding(2) var<storage, read> table: array<Optics>;
+@group(0) @binding(3) var<storage, read> majorant: array<f32>;
+@group(0) @binding(4) var<storage, read> terms: array<Term>;
+@group(0) @binding(5) var<storage, read> light0: array<f32>;
+@group(0) @binding(6) var<storage, read> light1: array<f32>;
+@group(0) @binding(7) var<storage, read> light2: array<f32>;
+@group(0) @binding(8) var<storage, read> light3: array<f32>;
+@group(0) @binding(9) var<storage, read> light4: array<f32>;
+@group(0) @binding(10) var<storage, read> light5: array<f32>;
+@group(0) @binding(11) var<storage, read> light6: array<f32>;
+@group(0) @binding(12) var<storage, read> light7: array<f32>;
+@group(0) @binding(13) var<storage, read_write> pixels: array<vec4<f32>>;
+
+const MAX_TERMS: u32 = 32u;
+// Transmittance below which a ray ends.
+const OPAQUE: f32 = 1e-4;
+const FOUR_PI: f32 = 12.566370614359172;
+
+// The eight values round a position, x fastest, and their trilinear weights.
+struct Cell {
+    low: vec4<u32>,
+    high: vec4<u32>,
+    low_weight: vec4<f32>,
+    high_weight: vec4<f32>,
+}
+
+fn cell(size: vec3<u32>, position: vec3<f32>) -> Cell {
+    let p = clamp(position, vec3(0.0), vec3<f32>(size - 1u));
+    let base = min(vec3<u32>(p), max(size, vec3(2u)) - 2u);
+    let f = p - vec3<f32>(base);
+    let reach = min(vec3(1u), size - 1u);
+    let i = index(size, base);
+    let row = reach.y * size.x;
+    let layer = reach.z * size.x * size.y;
+    let low = vec4(i, i + reach.x, i + row, i + row + reach.x);
+    let across = vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y);
+    return Cell(low, low + layer, (1.0 - f.z) * across, f.z * across);
+}
+
+fn data(position: vec3<f32>) -> f32 {
+    let c = cell(params.size, position);
+    return dot(vec4(field[c.low.x], field[c.low.y], field[c.low.z], field[c.low.w]), c.low_weight)
+        + dot(vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]), c.high_weight);
+}
+
+fn light(slot: u32, first: u32, c: Cell) -> f32 {
+    let a = c.low + first;
+    let b = c.high + first;
+    var low: vec4<f32>;
+    var high: vec4<f32>;
+    switch slot {
+        case 0u: {
+            low = vec4(light0[a.x], light0[a.y], light0[a.z], light0[a.w]);
+            high = vec4(light0[b.x], light0[b.y], light0[b.z], light0[b.w]);
+        }
+        case 1u: {
+            low = vec4(light1[a.x], light1[a.y], light1[a.z], light1[a.w]);
+            high = vec4(light1[b.x], light1[b.y], light1[b.z], light1[b.w]);
+        }
+        case 2u: {
+            low = vec4(light2[a.x], light2[a.y], light2[a.z], light2[a.w]);
+            high = vec4(light2[b.x], light2[b.y], light2[b.z], light2[b.w]);
+        }
+        case 3u: {
+            low = vec4(light3[a.x], light3[a.y], light3[a.z], light3[a.w]);
+            high = vec4(light3[b.x], light3[b.y], light3[b.z], light3[b.w]);
+        }
+        case 4u: {
+            low = vec4(light4[a.x], light4[a.y], light4[a.z], light4[a.w]);
+            high = vec4(light4[b.x], light4[b.y], light4[b.z], light4[b.w]);
+        }
+        case 5u: {
+            low = vec4(light5[a.x], light5[a.y], light5[a.z], light5[a.w]);
+            high = vec4(light5[b.x], light5[b.y], light5[b.z], light5[b.w]);
+        }
+        case 6u: {
+            low = vec4(light6[a.x], light6[a.y], light6[a.z], light6[a.w]);
+            high = vec4(light6[b.x], light6[b.y], light6[b.z], light6[b.w]);
+        }
+        default: {
+            low = vec4(light7[a.x], light7[a.y], light7[a.z], light7[a.w]);
+            high = vec4(light7[b.x], light7[b.y], light7[b.z], light7[b.w]);
+        }
+    }
+    return dot(low, c.low_weight) + dot(high, c.high_weight);
+}
+
+// What one unit of a term's value contributes along a ray; `to_eye` is the way to the eye.
+fn term_weight(term: Term, to_eye: vec3<f32>) -> vec3<f32> {
+    if term.kind == UNIFORM { return term.weight; }
+    let cosine = dot(term.direction, to_eye);
+    if term.kind == CURRENT { return term.weight * cosine; }
+    let g = term.g;
+    let base = 1.0 + g * g - 2.0 * g * cosine;
+    return term.weight * ((1.0 - g * g) / (FOUR_PI * base * sqrt(base)));
+}
+
+fn extinction(value: f32) -> f32 {
+    if value < HOLE { return 0.0; }
+    let e = entry(value, params.lo, params.scale, params.entries);
+    return mix(table[e.below].extinction, table[e.below + 1u].extinction, e.fraction);
+}
+
+// Blinn–Phong by the gradient of extinction, gated by its magnitude (Zhang & Ma 2013 (24)).
+fn shading(x: vec3<f32>, sigma: f32, to_eye: vec3<f32>) -> f32 {
+    let gradient = 0.5 * params.per_world * vec3(
+        extinction(data(x + vec3(1.0, 0.0, 0.0))) - extinction(data(x - vec3(1.0, 0.0, 0.0))),
+        extinction(data(x + vec3(0.0, 1.0, 0.0))) - extinction(data(x - vec3(0.0, 1.0, 0.0))),
+        extinction(data(x + vec3(0.0, 0.0, 1.0))) - extinction(data(x - vec3(0.0, 0.0, 1.0))),
+    );
+    let magnitude = length(gradient);
+    if magnitude == 0.0 { return 1.0; }
+    let normal = -gradient / magnitude;
+    let gate = magnitude * params.spacing / (magnitude * params.spacing + sigma);
+    let halfway = normalize(params.towards_light + to_eye);
+    let shade = params.ambient + params.diffuse * max(0.0, dot(normal, params.towards_light))
+        + params.specular * pow(max(0.0, dot(normal, halfway)), params.shininess);
+    return 1.0 + gate * (shade - 1.0);
+}
+
+var<private> weights: array<vec3<f32>, MAX_TERMS>;
+
+@compute @workgroup_size(8, 8)
+fn march(@builtin(global_invocation_id) id: vec3<u32>) {
+    if any(id.xy >= params.picture) { return; }
+    let at = (2.0 * vec2<f32>(id.xy) + 1.0) / vec2<f32>(params.picture) - 1.0;
+    let ray = normalize(params.forward + at.x * params.right - at.y * params.up);
+    for (var t = 0u; t < params.terms; t++) { weights[t] = term_weight(terms[t], -ray); }
+
+    // Where the ray meets the box. WGSL promises nothing about division by 0: a component of 0 is made tiny.
+    let along = ray * params.per_world;
+    let divisor = select(along, vec3(1e-20), abs(along) < vec3(1e-20));
+    let to_low = (vec3(-0.5) - params.eye) / divisor;
+    let to_high = (vec3<f32>(params.size) - 0.5 - params.eye) / divisor;
+    let entries = min(to_low, to_high);
+    let exits = max(to_low, to_high);
+    let near = max(max(entries.x, entries.y), max(entries.z, 0.0));
+    let reach = min(exits.x, min(exits.y, exits.z)) - near;
+    let pixel = id.y * params.picture.x + id.x;
+    if !(reach > 0.0) {
+        pixels[pixel] = vec4(0.0);
+        return;
+    }
+    let entered = params.eye + near * along;
+    let count = u32(ceil(reach / params.step));
+    let bricks = (params.size + params.edge - 1u) / params.edge;
+
+    var transmittance = 1.0;
+    var radiance = vec3(0.0);
+    var n = 0u;
+    while n < count && transmittance >= OPAQUE {
+        let begin = f32(n) * params.step;
+        let end = min(begin + params.step, reach);
+        let x = entered + 0.5 * (begin + end) * along;
+        if params.skip != 0u {
+            let nearest = clamp(x + 0.5, vec3(0.0), vec3<f32>(params.size - 1u));
+            let b = vec3<u32>(nearest) / params.edge;
+            if majorant[index(bricks, b)] == 0.0 {
+                // On to the first sample behind the brick; the majorant's halo of one value forgives rounding.
+                let low = vec3<f32>(b * params.edge) - 0.5;
+                let leave = (select(low, low + f32(params.edge), divisor > vec3(0.0)) - entered) / divisor;
+                let exit = min(min(leave.x, leave.y), min(leave.z, reach));
+                n = max(n + 1u, u32(max(0.0, ceil(exit / params.step - 0.5))));
+                continue;
+            }
+        }
+        n++;
+        let value = data(x);
+        if value < HOLE { continue; }
+        let e = entry(value, params.lo, params.scale, params.entries);
+        let low = table[e.below];
+        let high = table[e.below + 1u];
+        let sigma = mix(low.extinction, high.extinction, e.fraction);
+        let albedo = mix(low.albedo, high.albedo, e.fraction);
+        let emission = mix(low.emission, high.emission, e.fraction);
+        let ds = end - begin;
+        let alpha = 1.0 - exp(-sigma * ds);
+        var added = emission * select(ds, alpha / sigma, sigma > 0.0);
+        if alpha > 0.0 {
+            var scattered = vec3(0.0);
+            var c: Cell;
+            for (var t = 0u; t < params.terms; t++) {
+                let size = terms[t].size;
+                if terms[t].same_grid == 0u {
+                    c = cell(size, (x + 0.5) * vec3<f32>(size) / vec3<f32>(params.size) - 0.5);
+                }
+                scattered += weights[t] * light(terms[t].slot, terms[t].first, c);
+            }
+            scattered = max(scattered, vec3(0.0));
+            if params.shade != 0u { scattered *= shading(x, sigma, -ray); }
+            added += alpha * albedo * scattered;
+        }
+        radiance += transmittance * added;
+        transmittance *= 1.0 - alpha;
+    }
+    pixels[pixel] = vec4(radiance, 1.0 - transmittance);
+}

@@ -1,0 +1,159 @@
+// One pass of transport along ordinates: I = I_up e^−τ + w₀ S + w₁ S_up with w₀ = 1 − (1 − e^−τ)/τ, w₁ = (1 − e^−τ)/τ − e^−τ
+// and τ = ½(σ_up + σ)·length, accumulated into φ = Σ w I and J = Σ w Ω I. Outside the grid σ = 0 and I = S = the inflow.
+//
+// Ordinates that share dominant axis and sign run together, one layer a dispatch; coordinates are (b, c, a) as in sweep.wgsl.
+
+struct Params {
+    size: vec3<u32>,
+    // Ordinates of this group.
+    count: u32,
+    stride: vec3<u32>,
+    // Whether S has a part linear in Ω, and whether J is wanted.
+    linear: u32,
+    // Total number of values, for `settle`.
+    values: u32,
+    current: u32,
+    // +1 or −1 along the dominant axis.
+    travel: i32,
+}
+
+struct Ordinate {
+    direction: vec3<f32>,
+    weight: f32,
+    // Where the foot lies in the layer before, −u_b/|u_a| and −u_c/|u_a|, in −1..1.
+    foot: vec2<f32>,
+    // World length between layers.
+    length: f32,
+    inflow: f32,
+}
+
+// Layers count from the side where the light enters.
+struct Layer {
+    number: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> ordinates: array<Ordinate>;
+@group(0) @binding(2) var<storage, read> sigma: array<f32>;
+@group(0) @binding(3) var<storage, read> source: array<f32>;
+@group(0) @binding(4) var<storage, read> gradient_x: array<f32>;
+@group(0) @binding(5) var<storage, read> gradient_y: array<f32>;
+@group(0) @binding(6) var<storage, read> gradient_z: array<f32>;
+// Radiance of two layers in turn, each (ordinate, c, b).
+@group(0) @binding(7) var<storage, read_write> radiance: array<f32>;
+@group(0) @binding(8) var<storage, read_write> sum: array<f32>;
+@group(0) @binding(9) var<storage, read_write> current_x: array<f32>;
+@group(0) @binding(10) var<storage, read_write> current_y: array<f32>;
+@group(0) @binding(11) var<storage, read_write> current_z: array<f32>;
+@group(0) @binding(12) var<storage, read_write> phi: array<f32>;
+// Largest change of φ and largest φ, as the bits of non-negative f32.
+@group(0) @binding(13) var<storage, read_write> extremes: array<atomic<u32>, 2>;
+var<immediate> layer: Layer;
+
+fn at(q: vec3<u32>) -> u32 {
+    let p = q * params.stride;
+    return p.x + p.y + p.z;
+}
+
+fn source_at(i: u32, direction: vec3<f32>) -> f32 {
+    if params.linear == 0u { return source[i]; }
+    return max(0.0, source[i] + dot(direction, vec3(gradient_x[i], gradient_y[i], gradient_z[i])));
+}
+
+fn radiance_index(parity: u32, ordinate: u32, q: vec2<u32>) -> u32 {
+    return ((parity * params.count + ordinate) * params.size.y + q.y) * params.size.x + q.x;
+}
+
+// 1 − e^−τ and w₀; the latter by its series where the difference would cancel.
+fn characteristic(tau: f32) -> vec2<f32> {
+    if tau < 0.125 {
+        let w0 = tau * (0.5 - tau * (1.0 / 6.0 - tau * (1.0 / 24.0 - tau * (1.0 / 120.0 - tau / 720.0))));
+        return vec2(tau * (1.0 - w0), w0);
+    }
+    let absorbed = 1.0 - exp(-tau);
+    return vec2(absorbed, 1.0 - absorbed / tau);
+}
+
+// (φ, J) of up to eight ordinates for each of 32 values; summed in the order of the ordinates, so that a pass repeats to the bit.
+var<workgroup> partial: array<vec4<f32>, 256>;
+
+// ordinates, sigma, source, gradient, radiance of the layer before → radiance, sum, current
+@compute @workgroup_size(16, 2, 8)
+fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_id) thread: vec3<u32>) {
+    let q = id.xy;
+    let here = all(q < params.size.xy);
+    let a = select(params.size.z - 1u - layer.number, layer.number, params.travel > 0);
+    let lane = thread.y * 16u + thread.x;
+    var own = vec4(0.0);
+    if here {
+        let p = at(vec3(q, a));
+        for (var d = thread.z; d < params.count; d += 8u) {
+            let o = ordinates[d];
+            let s = sigma[p];
+            let emitted = source_at(p, o.direction);
+            // Before the first layer: half a step through the voxel itself.
+            var up = o.inflow;
+            var s_up = 0.0;
+            var emitted_up = emitted;
+            if layer.number > 0u {
+                up = 0.0;
+                emitted_up = 0.0;
+                let toward = select(vec2(-1), vec2(1), o.foot >= vec2(0.0));
+                let f = abs(o.foot);
+                for (var corner = 0u; corner < 4u; corner++) {
+                    let moved = vec2(corner & 1u, corner >> 1u);
+                    let weights = select(1.0 - f, f, moved == vec2(1u));
+                    let weight = weights.x * weights.y;
+                    let foot = vec2<i32>(q) + vec2<i32>(moved) * toward;
+                    if all(foot >= vec2(0)) && all(foot < vec2<i32>(params.size.xy)) {
+                        let v = vec2<u32>(foot);
+                        let i = at(vec3(v, u32(i32(a) - params.travel)));
+                        up += weight * radiance[radiance_index((layer.number + 1u) & 1u, d, v)];
+                        s_up += weight * sigma[i];
+                        emitted_up += weight * source_at(i, o.direction);
+                    } else {
+                        up += weight * o.inflow;
+                        emitted_up += weight * o.inflow;
+                    }
+                }
+            }
+            let step = characteristic(0.5 * o.length * (s_up + s));
+            let value = up + step.x * (emitted_up - up) + step.y * (emitted - emitted_up);
+            radiance[radiance_index(layer.number & 1u, d, q)] = value;
+            own += o.weight * value * vec4(1.0, o.direction);
+        }
+    }
+    partial[thread.z * 32u + lane] = own;
+    workgroupBarrier();
+    if here && thread.z == 0u {
+        var total = partial[lane];
+        for (var z = 1u; z < 8u; z++) { total += partial[z * 32u + lane]; }
+        let p = at(vec3(q, a));
+        sum[p] += total.x;
+        if params.current != 0u {
+            current_x[p] += total.y;
+            current_y[p] += total.z;
+            current_z[p] += total.w;
+        }
+    }
+}
+
+var<workgroup> largest: array<atomic<u32>, 2>;
+
+// sum, phi → phi, extremes
+@compute @workgroup_size(256)
+fn settle(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = folded(group, groups) * 256u + lane;
+    if i < params.values {
+        let value = sum[i];
+        atomicMax(&largest[0], bitcast<u32>(abs(value - phi[i])));
+        atomicMax(&largest[1], bitcast<u32>(max(value, 0.0)));
+        phi[i] = value;
+    }
+    workgroupBarrier();
+    if lane < 2u { atomicMax(&extremes[lane], atomicLoad(&largest[lane])); }
+}

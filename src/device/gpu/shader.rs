@@ -1,0 +1,158 @@
+//! Kernels in WGSL: their sources, and pipelines whose bindings are found by name.
+//!
+//! A shader is the plain concatenation of small files of `shaders/`. Its bindings are declared there and nowhere else: the
+//! layout comes from the parsed module, and a call names the buffers it binds.
+
+use std::collections::HashMap;
+
+use encase::ShaderSize;
+use wgpu::naga;
+
+use super::{bricks, classify, march, source, sweep, transport};
+use crate::error::{Error, Result};
+
+/// A kernel's WGSL, and what the host believes about it.
+#[derive(Debug, Clone, Copy)]
+pub struct Shader {
+    /// Its name: that of the file in `shaders/` that holds its entry points.
+    pub name: &'static str,
+    /// The whole module.
+    pub source: &'static str,
+    /// Bytes of the host's `Params`, if it has a uniform of that name; equals the span of the one in WGSL.
+    pub params: Option<u64>,
+}
+
+macro_rules! shader {
+    ($name:literal, [$($part:literal),*], $params:expr) => {
+        Shader {
+            name: $name,
+            source: concat!(
+                $(include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $part, ".wgsl")), "\n",)*
+                include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $name, ".wgsl"))
+            ),
+            params: $params,
+        }
+    };
+}
+
+const fn size_of<P: ShaderSize>() -> Option<u64> {
+    Some(P::SHADER_SIZE.get())
+}
+
+/// See `shaders/classify.wgsl`.
+pub static CLASSIFY: Shader = shader!("classify", ["grid", "cover", "table"], size_of::<classify::Classify>());
+/// See `shaders/restrict.wgsl`.
+pub static RESTRICT: Shader = shader!("restrict", ["grid", "cover"], size_of::<classify::Restrict>());
+/// See `shaders/brick_range.wgsl`.
+pub static BRICK_RANGE: Shader = shader!("brick_range", ["grid", "bricks", "table"], size_of::<bricks::Bricks>());
+/// See `shaders/change.wgsl`.
+pub static CHANGE: Shader = shader!("change", ["grid", "bricks"], size_of::<bricks::Bricks>());
+/// See `shaders/sweep.wgsl`.
+pub static SWEEP: Shader = shader!("sweep", ["grid"], size_of::<sweep::Params>());
+/// See `shaders/source.wgsl`.
+pub static SOURCE: Shader = shader!("source", ["grid"], size_of::<source::Params>());
+/// See `shaders/transport.wgsl`.
+pub static TRANSPORT: Shader = shader!("transport", ["grid"], size_of::<transport::Params>());
+/// See `shaders/compose.wgsl`.
+pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
+/// See `shaders/march.wgsl`.
+pub static MARCH: Shader = shader!("march", ["grid", "table"], size_of::<march::Params>());
+
+/// Every shader.
+pub fn shaders() -> [&'static Shader; 9] {
+    [&CLASSIFY, &RESTRICT, &BRICK_RANGE, &CHANGE, &SWEEP, &SOURCE, &TRANSPORT, &COMPOSE, &MARCH]
+}
+
+/// A shader on a device: its pipelines by entry point, and its bindings by name.
+pub(super) struct Kernel {
+    name: &'static str,
+    layout: wgpu::BindGroupLayout,
+    bindings: Vec<(String, u32)>,
+    pipelines: HashMap<String, wgpu::ComputePipeline>,
+}
+
+impl Kernel {
+    pub(super) fn new(device: &wgpu::Device, shader: &Shader) -> Result<Self> {
+        let broken = |what: String| Error::Device(format!("shader {}: {what}", shader.name));
+        let parsed = naga::front::wgsl::parse_str(shader.source)
+            .map_err(|e| broken(e.emit_to_string_with_path(shader.source, &format!("{}.wgsl", shader.name))))?;
+
+        let mut bindings = Vec::new();
+        let mut entries = Vec::new();
+        let mut immediate_size = 0;
+        for (_, variable) in parsed.global_variables.iter() {
+            let ty = match variable.space {
+                naga::AddressSpace::Uniform => wgpu::BufferBindingType::Uniform,
+                naga::AddressSpace::Storage { access } => {
+                    wgpu::BufferBindingType::Storage { read_only: !access.contains(naga::StorageAccess::STORE) }
+                }
+                naga::AddressSpace::Immediate => {
+                    immediate_size = parsed.types[variable.ty].inner.size(parsed.to_ctx());
+                    continue;
+                }
+                _ => continue,
+            };
+            let (Some(binding), Some(name)) = (&variable.binding, &variable.name) else {
+                return Err(broken("a resource without a binding".into()));
+            };
+            entries.push(wgpu::BindGroupLayoutEntry {
+                binding: binding.binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            });
+            bindings.push((name.clone(), binding.binding));
+        }
+
+        let layout = device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(shader.name), entries: &entries });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(shader.name),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size,
+        });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(shader.name),
+            source: wgpu::ShaderSource::Wgsl(shader.source.into()),
+        });
+        let pipeline = |entry: &str| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry),
+                layout: Some(&pipeline_layout),
+                module: &module,
+                entry_point: Some(entry),
+                compilation_options: Default::default(),
+                cache: None,
+            })
+        };
+        let pipelines = parsed.entry_points.iter().map(|e| (e.name.clone(), pipeline(&e.name))).collect();
+        Ok(Kernel { name: shader.name, layout, bindings, pipelines })
+    }
+
+    /// Binds buffers by the names that WGSL gives them; all of them must be named.
+    pub(super) fn bind(&self, device: &wgpu::Device, buffers: &[(&str, &wgpu::Buffer)]) -> Result<wgpu::BindGroup> {
+        let entries = self
+            .bindings
+            .iter()
+            .map(|(name, binding)| {
+                let (_, buffer) = buffers
+                    .iter()
+                    .find(|(n, _)| n == name)
+                    .ok_or_else(|| Error::Device(format!("shader {}: `{name}` is not bound", self.name)))?;
+                Ok(wgpu::BindGroupEntry { binding: *binding, resource: buffer.as_entire_binding() })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.name),
+            layout: &self.layout,
+            entries: &entries,
+        }))
+    }
+
+    /// The pipeline of an entry point.
+    pub(super) fn pipeline(&self, entry: &str) -> Result<&wgpu::ComputePipeline> {
+        self.pipelines
+            .get(entry)
+            .ok_or_else(|| Error::Device(format!("shader {}: no entry point `{entry}`", self.name)))
+    }
+}

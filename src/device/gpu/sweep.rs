@@ -1,0 +1,98 @@
+//! Direct light: one dispatch per front of bricks, or per layer where the foot is cubic.
+
+use encase::ShaderType;
+use glam::{IVec3, UVec3, Vec2};
+
+use super::shader::SWEEP;
+use super::{Gpu, dispatch, holds, uvec3};
+use crate::device::{Buffer, Sweep};
+use crate::error::Result;
+use crate::grid::BrickLayout;
+
+#[derive(ShaderType)]
+pub(super) struct Params {
+    size: UVec3,
+    edge: u32,
+    stride: UVec3,
+    length: f32,
+    counts: UVec3,
+    brick_stride: UVec3,
+    travel: IVec3,
+    offset: Vec2,
+}
+
+/// The axes with the dominant one last: a kernel's (b, c, a). Of the lateral ones, that which is contiguous in memory
+/// comes first where there is one.
+pub(super) fn layers_last(axis: usize) -> [usize; 3] {
+    [[1, 2, 0], [0, 2, 1], [0, 1, 2]][axis]
+}
+
+/// Distances in memory between neighbours of a dense array.
+pub(super) fn strides(size: [usize; 3]) -> [usize; 3] {
+    [1, size[0], size[0] * size[1]]
+}
+
+pub(super) fn sweep(
+    gpu: &Gpu,
+    sweep: &Sweep,
+    layout: &BrickLayout,
+    sigma: &Buffer,
+    rho: &mut Buffer,
+    fronts: &[&[u32]],
+) -> Result<Vec<f32>> {
+    let listed: Vec<u32> = fronts.concat();
+    if listed.is_empty() {
+        return Ok(Vec::new());
+    }
+    let axes = layers_last(sweep.axis());
+    let (size, counts) = (axes.map(|a| sweep.size[a]), layout.counts());
+    let ascending = sweep.ascending();
+    let offset = |a: usize| (sweep.direction[a] / sweep.direction[sweep.axis()]).abs().min(1.0);
+    let params = Params {
+        size: uvec3(size),
+        edge: layout.edge as u32,
+        stride: uvec3(axes.map(|a| strides(sweep.size)[a])),
+        length: sweep.length,
+        counts: uvec3(axes.map(|a| counts[a])),
+        brick_stride: uvec3(axes.map(|a| strides(counts)[a])),
+        travel: IVec3::from_array(axes.map(|a| if ascending[a] { 1 } else { -1 })),
+        offset: Vec2::new(offset(axes[0]), offset(axes[1])),
+    };
+    let values = sweep.size.iter().product();
+    let changes = gpu.scratch(layout.len())?;
+    let kernel = gpu.kernel(&SWEEP)?;
+    let bound = kernel.bind(
+        &gpu.device,
+        &[
+            ("params", &gpu.uniform(&params)?),
+            ("sigma", holds(sigma, values)?),
+            ("rho", holds(rho, values)?),
+            ("bricks", &gpu.storage(&listed)?),
+            ("changes", &changes),
+        ],
+    )?;
+    let mut encoder = gpu.encoder();
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_bind_group(0, &bound, &[]);
+        if sweep.cubic {
+            pass.set_pipeline(kernel.pipeline("layer_by_layer")?);
+            for l in 0..size[2] {
+                let layer = if params.travel.z > 0 { l } else { size[2] - 1 - l };
+                pass.set_immediates(0, bytemuck::cast_slice(&[layer as u32, 0]));
+                dispatch(&mut pass, [size[0].div_ceil(16), size[1].div_ceil(16), 1]);
+            }
+        } else {
+            pass.set_pipeline(kernel.pipeline("brick_by_brick")?);
+            let mut first = 0;
+            for front in fronts {
+                pass.set_immediates(0, bytemuck::cast_slice(&[first, front.len() as u32]));
+                dispatch(&mut pass, [front.len(), 1, 1]);
+                first += front.len() as u32;
+            }
+        }
+    }
+    gpu.submit(encoder)?;
+    let changes: Vec<f32> = gpu.values(&changes, layout.len())?;
+    Ok(listed.iter().map(|&b| changes[b as usize]).collect())
+}
