@@ -15,7 +15,8 @@ use gloaming::{Error, Grid, Region, Result};
 const SMOKE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/smoke.h5");
 
 fn scene(extra: &[&str]) -> Scene {
-    let mut sets = vec!["render.size=[96, 64]".to_string(), "light.resolution=0.25".into(), "light.directions=8".into()];
+    let mut sets =
+        vec!["render.size=[96, 64]".to_string(), "light.resolution=0.25".into(), "light.directions=8".into()];
     sets.extend(extra.iter().map(|s| s.to_string()));
     Scene::load(None, &sets).unwrap()
 }
@@ -109,7 +110,8 @@ impl Series for Faulty {
         let field: Arc<dyn Field> = if self.broken.contains(&index) {
             Arc::new(Broken)
         } else {
-            let values = (0..grid.len()).map(|i| if i % 1000 == 7 { f32::NAN } else { (i % 24) as f32 / 24.0 }).collect();
+            let values =
+                (0..grid.len()).map(|i| if i % 1000 == 7 { f32::NAN } else { (i % 24) as f32 / 24.0 }).collect();
             Arc::new(Dense::new(grid.size, values))
         };
         Ok(Timestep { step: index as u64, time: Some(index as f64), grid, field })
@@ -200,6 +202,10 @@ fn pushed_steps_equal_read_steps() {
     assert_eq!(session.close().unwrap().done, 3);
     for step in 10..13 {
         let name = format!("f_{step:06}.png");
-        assert_eq!(std::fs::read(a.path().join(&name)).unwrap(), std::fs::read(b.path().join(&name)).unwrap(), "{name}");
+        assert_eq!(
+            std::fs::read(a.path().join(&name)).unwrap(),
+            std::fs::read(b.path().join(&name)).unwrap(),
+            "{name}"
+        );
     }
 }

@@ -1,0 +1,47 @@
+//! The output loop: every step goes into a file, as before, and to gloaming, which lights it on threads of its own while
+//! the simulation computes the next one.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use gloaming::Grid;
+use gloaming::device::cpu::Cpu;
+use gloaming::field::{Dense, Timestep};
+use gloaming::pipeline::{InSitu, Summary};
+use gloaming::scene::Scene;
+
+use super::simulation::{Smoke, series::Series};
+
+/// What is shown, lit how, seen from where.
+const SCENE: &str = include_str!("scene.toml");
+
+/// Runs the simulation for `steps` steps and leaves a movie, frames, the illuminated volume, the ledger and the
+/// simulation's own series in `out`. `each` is told the number of steps done.
+pub fn run(out: &Path, size: usize, steps: usize, mut each: impl FnMut(usize)) -> Result<Summary> {
+    std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    let outputs =
+        ["movie.mp4", "frames/frame_{step:06}.png", "light.vtkhdf"].map(|o| out.join(o).display().to_string());
+
+    let mut smoke = Smoke::new(size);
+    let spacing = smoke.spacing();
+    let grid = Grid { size: smoke.size(), spacing: [spacing; 3], origin: [0.5 * spacing; 3] };
+    let mut series = Series::create(&out.join("series.h5"), smoke.size(), spacing)?;
+
+    let scene = Scene::parse(SCENE, "scene.toml", &[])?;
+    let device = Arc::new(Cpu::new(0)?);
+    let mut lit = InSitu::open(scene, device, &outputs, Some(out.join("ledger.csv")), "density")?;
+
+    for step in 0..steps {
+        smoke.step();
+        let density = smoke.density();
+        series.append(smoke.time(), &density)?;
+        let field = Arc::new(Dense::new(smoke.size(), density));
+        // A refused step means that lighting has ended; closing tells why.
+        if lit.push(Timestep { step: step as u64, time: Some(smoke.time()), grid, field }).is_err() {
+            break;
+        }
+        each(step + 1);
+    }
+    Ok(lit.close()?)
+}
