@@ -318,8 +318,9 @@ pub trait Device: Send + Sync {
 
     /// Direct light by short characteristics over the listed bricks, front by front:
     /// `ρ = ρ_foot · exp(−½(σ_foot + σ)·length)`, ρ = 1 and σ = 0 outside; the first layer starts half a voxel inside the
-    /// box. `rho` holds the previous solution. Returns, for each listed brick in order, the largest change of `rho` on the
-    /// brick's downstream faces: 0 means that nothing downstream of it sees a difference.
+    /// box. `rho` holds the previous solution. Returns, for each listed brick in order, a bound on the change of `rho` on
+    /// the brick's downstream faces: 0 means that nothing downstream of it sees a difference. The bound may be infinite when
+    /// all bricks are listed (nobody needs it then) and for a cubic foot.
     fn sweep(
         &self,
         sweep: &Sweep,

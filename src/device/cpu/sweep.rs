@@ -19,13 +19,13 @@ const LINE: usize = 16;
 /// Axes of a sweep: layers along the dominant axis, rows and columns across it (columns contiguous where possible), and
 /// the lateral offset of the foot, in voxels per layer.
 #[derive(Clone, Copy)]
-struct Axes {
-    layer: usize,
-    row: usize,
-    col: usize,
-    ascending: bool,
-    row_offset: f32,
-    col_offset: f32,
+pub(super) struct Axes {
+    pub(super) layer: usize,
+    pub(super) row: usize,
+    pub(super) col: usize,
+    pub(super) ascending: bool,
+    pub(super) row_offset: f32,
+    pub(super) col_offset: f32,
 }
 
 impl Axes {
@@ -38,13 +38,43 @@ impl Axes {
     }
 }
 
-/// The solution, shared between the threads of a front.
+/// Values shared between threads that write disjoint parts of them.
 #[derive(Clone, Copy)]
-struct Shared(*mut f32, usize);
-// SAFETY: bricks of one front write disjoint voxels and read only voxels of earlier fronts, which nobody writes.
+pub(super) struct Shared(*mut f32, usize);
+// SAFETY: only `row` gives access, and its callers vouch that nobody else writes those values.
 unsafe impl Send for Shared {}
 // SAFETY: as above.
 unsafe impl Sync for Shared {}
+
+impl Shared {
+    pub(super) fn new(values: &mut [f32]) -> Self {
+        Shared(values.as_mut_ptr(), values.len())
+    }
+
+    /// `n` values from `at` on.
+    ///
+    /// # Safety
+    /// No other thread reads or writes them while the slice lives, and no other slice of them lives in this thread.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    pub(super) unsafe fn row<'a>(self, at: usize, n: usize) -> &'a mut [f32] {
+        self.check(at, n);
+        // SAFETY: in bounds; the caller vouches for the rest.
+        unsafe { std::slice::from_raw_parts_mut(self.0.add(at), n) }
+    }
+
+    /// Panics unless `n` values from `at` on exist.
+    #[inline(always)]
+    pub(super) fn check(self, at: usize, n: usize) {
+        assert!(at + n <= self.1, "a row beyond the grid");
+    }
+
+    /// Address of a value.
+    #[inline(always)]
+    pub(super) fn at(self, at: usize) -> *mut f32 {
+        self.0.wrapping_add(at)
+    }
+}
 
 /// reads σ, ρ upstream → writes ρ of the listed bricks; returns the largest change on each brick's downstream faces.
 pub(crate) fn sweep(
@@ -56,12 +86,13 @@ pub(crate) fn sweep(
 ) -> Vec<f32> {
     let voxels: usize = sweep.size.iter().product();
     assert!(sigma.len() >= voxels && rho.len() >= voxels && layout.size == sweep.size, "buffers must hold the grid");
-    if sweep.cubic {
-        return super::sweep_cubic::sweep(sweep, layout, sigma, rho, fronts);
-    }
     let axes = Axes::new(sweep);
-    let shared = Shared(rho.as_mut_ptr(), rho.len());
+    let shared = Shared::new(rho);
     let listed = fronts.iter().map(|f| f.len()).sum();
+    if sweep.cubic {
+        super::sweep_cubic::sweep(&axes, sweep, sigma, shared);
+        return vec![f32::INFINITY; listed];
+    }
     if listed == layout.len() {
         whole(&axes, sweep, sigma, shared);
         return vec![f32::INFINITY; listed];
