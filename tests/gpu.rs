@@ -8,7 +8,9 @@ use std::sync::OnceLock;
 use glam::Vec3;
 use gloaming::camera::Camera;
 use gloaming::device::gpu::{Gpu, adapters, shader};
-use gloaming::device::{Buffer, Device, March, Optic, Phong, Sweep, Term, Weight, cpu::Cpu};
+use gloaming::device::{
+    Buffer, Device, March, Optic, Ordinate, Phong, SourceTerm, Sweep, Term, Transport, Weight, cpu::Cpu,
+};
 use gloaming::field::{EMPTY, HOLE};
 use gloaming::frame::Frame;
 use gloaming::transfer::Table;
@@ -303,6 +305,137 @@ fn compose_agrees() {
         out
     });
     assert_close(want.as_flattened(), got.as_flattened(), 1e-6, "illuminated volume");
+}
+
+#[test]
+fn combinations_agree() {
+    let volumes: Vec<Vec<f32>> = (0..3).map(|s| noise(30 + s, 50_003)).collect();
+    for weights in [&[][..], &[1.0], &[2.5], &[2.0, -1.0, 0.3]] {
+        let [want, got] = both(|d| {
+            let buffers: Vec<Buffer> = volumes.iter().map(|v| upload(d, v)).collect();
+            let terms: Vec<(&Buffer, f32)> = buffers.iter().zip(weights.iter().copied()).collect();
+            let mut out = upload(d, &volumes[2]);
+            d.combine(&terms, &mut out).unwrap();
+            download(d, &out)
+        });
+        assert_close(&want, &got, 1e-6, &format!("{weights:?}"));
+    }
+    let [want, got] = both(|d| {
+        let [mut a, mut b] = [upload(d, &volumes[0]), upload(d, &volumes[1])];
+        // The largest values sit at the end, behind the last whole chunk.
+        let distance = d.distance(&a, &b).unwrap();
+        (a, b) =
+            (upload(d, &[&volumes[0][..], &[7.0, 0.0]].concat()), upload(d, &[&volumes[1][..], &[0.5, 0.0]].concat()));
+        [distance, d.distance(&a, &b).unwrap(), d.largest_ratio(&b, &a).unwrap(), d.dot(&a, &b).unwrap() as f32]
+    });
+    assert_eq!(want[..3], got[..3]);
+    assert!((want[3] - got[3]).abs() < 1e-6 * want[3], "{want:?} {got:?}");
+}
+
+#[test]
+fn extensions_agree() {
+    let sigma: Vec<f32> = noise(33, ODD.iter().product()).iter().map(|v| if *v < 0.9 { 0.0 } else { *v }).collect();
+    let values: Vec<f32> = sigma.iter().zip(noise(34, sigma.len())).map(|(s, v)| s * v).collect();
+    let [want, got] = both(|d| {
+        let mut out = d.alloc(sigma.len()).unwrap();
+        d.extend(ODD, &upload(d, &sigma), &upload(d, &values), &mut out).unwrap();
+        download(d, &out)
+    });
+    assert_close(&want, &got, 1e-6, "all");
+    // The continuation is far below the values: compare it on its own.
+    let faint = |v: &[f32]| v.iter().zip(&sigma).map(|(v, s)| if *s > 0.0 { 0.0 } else { *v }).collect::<Vec<_>>();
+    assert!(faint(&want).iter().any(|v| *v > 0.0));
+    assert_close(&faint(&want), &faint(&got), 1e-5, "continued");
+}
+
+#[test]
+fn sources_agree() {
+    let n = 10_007;
+    let sigma: Vec<f32> = noise(50, n).iter().map(|v| if *v < 0.2 { 0.0 } else { 5.0 * v }).collect();
+    let volumes: Vec<Vec<f32>> = (51..58).map(|seed| noise(seed, n)).collect();
+    let lights = [(0.7, Vec3::new(0.6, 0.0, -0.8)), (2.0, Vec3::NEG_Y)];
+    for (glows, forward) in [(false, None), (true, Some(1.3)), (true, None)] {
+        let [want, got] = both(|d| {
+            let sigma = upload(d, &sigma);
+            let v: Vec<Buffer> = volumes.iter().map(|v| upload(d, v)).collect();
+            let first: Vec<(&Buffer, f32, Vec3)> = v[..2].iter().zip(lights).map(|(v, (e, u))| (v, e, u)).collect();
+            let mut out: [Buffer; 4] = std::array::from_fn(|_| d.alloc(n).unwrap());
+            let [source, gradient @ ..] = out.each_mut();
+            let term = SourceTerm {
+                sigma: &sigma,
+                scattering: &v[2],
+                emission: glows.then_some(&v[3]),
+                first: &first,
+                phi: &v[3],
+                current: forward.map(|f| ([&v[4], &v[5], &v[6]], f)),
+            };
+            d.source(&term, source, forward.map(|_| gradient)).unwrap();
+            out.map(|b| download(d, &b))
+        });
+        for (want, got) in want.iter().zip(&got) {
+            assert_close(want, got, 1e-6, &format!("glows {glows}, anisotropy {forward:?}"));
+        }
+    }
+}
+
+/// Ordinates in all octants with unequal weights, some with inflow, more than a workgroup takes at once.
+fn ordinates() -> Vec<Ordinate> {
+    let steep =
+        [Vec3::new(0.1, 0.2, 0.95), Vec3::new(-0.2, 0.3, 0.9), Vec3::new(0.05, -0.3, 0.8)].map(|u| u.normalize());
+    directions()
+        .into_iter()
+        .chain(steep)
+        .zip(noise(60, 64))
+        .enumerate()
+        .map(|(i, (direction, weight))| Ordinate { direction, weight, inflow: if i % 4 == 0 { 0.3 } else { 0.0 } })
+        .collect()
+}
+
+#[test]
+fn transport_agrees() {
+    let (grid, ordinates) = (Grid { size: [19, 32, 25], ..anisotropic() }, ordinates());
+    let n = grid.len();
+    // From vacuum through thin, where w₀ is a series, to thick.
+    let sigma: Vec<f32> = noise(61, n).iter().map(|v| if *v < 0.3 { 0.0 } else { 200.0 * v.powi(6) }).collect();
+    let source = noise(62, n);
+    let gradient: [Vec<f32>; 3] = std::array::from_fn(|a| noise(63 + a as u32, n).iter().map(|v| v - 0.5).collect());
+    for linear in [false, true] {
+        let [want, got] = both(|d| {
+            let (sigma, source) = (upload(d, &sigma), upload(d, &source));
+            let gradient = gradient.each_ref().map(|g| upload(d, g));
+            let mut phi = upload(d, &noise(66, n));
+            let mut current: [Buffer; 3] = std::array::from_fn(|a| upload(d, &noise(67 + a as u32, n)));
+            let transport = Transport {
+                grid: &grid,
+                ordinates: &ordinates,
+                sigma: &sigma,
+                source: &source,
+                gradient: linear.then(|| gradient.each_ref()),
+            };
+            let extremes = d.transport(&transport, &mut phi, linear.then(|| current.each_mut())).unwrap();
+            let [x, y, z] = current.map(|c| download(d, &c));
+            [vec![extremes.0, extremes.1], download(d, &phi), x, y, z]
+        });
+        for (part, (want, got)) in want.iter().zip(&got).enumerate() {
+            assert_close(want, got, 1e-5, &format!("part {part}, linear {linear}"));
+        }
+    }
+}
+
+/// Inflow and source 1 give radiance 1 wherever, whatever σ (the white furnace).
+#[test]
+fn transport_is_a_white_furnace() {
+    let grid = Grid { size: [19, 32, 25], ..anisotropic() };
+    let ordinates: Vec<Ordinate> = ordinates().into_iter().map(|o| Ordinate { inflow: 1.0, ..o }).collect();
+    let total: f32 = ordinates.iter().map(|o| o.weight).sum();
+    let d = gpu();
+    let sigma: Vec<f32> = noise(70, grid.len()).iter().map(|v| 100.0 * v * v).collect();
+    let (sigma, source) = (upload(d, &sigma), upload(d, &vec![1.0; grid.len()]));
+    let mut phi = d.alloc(grid.len()).unwrap();
+    let t = Transport { grid: &grid, ordinates: &ordinates, sigma: &sigma, source: &source, gradient: None };
+    let (change, most) = d.transport(&t, &mut phi, None).unwrap();
+    assert!(download(d, &phi).iter().all(|p| (p / total - 1.0).abs() < 1e-5));
+    assert!((change / total - 1.0).abs() < 1e-5 && change == most);
 }
 
 /// Two blobs in empty space, one with a hole.

@@ -24,8 +24,8 @@ pub(super) struct Restrict {
     coarse: UVec3,
 }
 
-/// One invocation per value of the coarser grid.
-fn groups(size: [usize; 3]) -> [usize; 3] {
+/// One invocation for each value of a grid, in workgroups of 8 × 8 × 1.
+pub(super) fn groups(size: [usize; 3]) -> [usize; 3] {
     [size[0].div_ceil(8), size[1].div_ceil(8), size[2]]
 }
 

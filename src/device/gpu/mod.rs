@@ -14,7 +14,9 @@ use crate::transfer::Table;
 mod adapter;
 mod bricks;
 mod classify;
+mod combine;
 mod compose;
+mod extend;
 mod march;
 pub mod shader;
 mod source;
@@ -331,6 +333,26 @@ impl Device for Gpu {
         current: Option<[&mut Buffer; 3]>,
     ) -> Result<(f32, f32)> {
         transport::transport(self, transport, phi, current)
+    }
+
+    fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
+        combine::combine(self, terms, out)
+    }
+
+    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
+        combine::dot(self, a, b)
+    }
+
+    fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        combine::distance(self, a, b)
+    }
+
+    fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        combine::largest_ratio(self, a, b)
+    }
+
+    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
+        extend::extend(self, size, sigma, values, out)
     }
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {

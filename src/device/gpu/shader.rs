@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use encase::ShaderSize;
 use wgpu::naga;
 
-use super::{bricks, classify, march, source, sweep, transport};
+use super::{bricks, classify, extend, march, source, sweep, transport};
 use crate::error::{Error, Result};
 
 /// A kernel's WGSL, and what the host believes about it.
@@ -53,14 +53,18 @@ pub static SWEEP: Shader = shader!("sweep", ["grid"], size_of::<sweep::Params>()
 pub static SOURCE: Shader = shader!("source", ["grid"], size_of::<source::Params>());
 /// See `shaders/transport.wgsl`.
 pub static TRANSPORT: Shader = shader!("transport", ["grid"], size_of::<transport::Params>());
+/// See `shaders/combine.wgsl`.
+pub static COMBINE: Shader = shader!("combine", ["grid"], None);
+/// See `shaders/extend.wgsl`.
+pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params>());
 /// See `shaders/compose.wgsl`.
 pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/march.wgsl`.
 pub static MARCH: Shader = shader!("march", ["grid", "table"], size_of::<march::Params>());
 
 /// Every shader.
-pub fn shaders() -> [&'static Shader; 9] {
-    [&CLASSIFY, &RESTRICT, &BRICK_RANGE, &CHANGE, &SWEEP, &SOURCE, &TRANSPORT, &COMPOSE, &MARCH]
+pub fn shaders() -> [&'static Shader; 11] {
+    [&CLASSIFY, &RESTRICT, &BRICK_RANGE, &CHANGE, &SWEEP, &SOURCE, &TRANSPORT, &COMBINE, &EXTEND, &COMPOSE, &MARCH]
 }
 
 /// A shader on a device: its pipelines by entry point, and its bindings by name.

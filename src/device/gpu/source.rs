@@ -22,7 +22,7 @@ pub(super) fn source(
 ) -> Result<()> {
     let values = source.len();
     let out = holds(source, values)?;
-    // Bindings of a part that is not there want distinct buffers all the same.
+    // A buffer that is written may be bound only once.
     let unused = [gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?];
     let along = match (&term.current, &gradient) {
         (Some((current, forward)), Some(gradient)) => Some((current, *forward, gradient)),

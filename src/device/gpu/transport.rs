@@ -38,10 +38,11 @@ pub(super) fn transport(
     let size = t.grid.size;
     let values = t.grid.len();
     let kernel = gpu.kernel(&TRANSPORT)?;
-    let unused: [wgpu::Buffer; 3] = [gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?];
+    // A buffer that is written may be bound only once.
+    let unused = [gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?];
     let gradient = match t.gradient {
         Some([x, y, z]) => [holds(x, values)?, holds(y, values)?, holds(z, values)?],
-        None => [&unused[0]; 3],
+        None => [&unused[3]; 3],
     };
     let currents = match &current {
         Some([x, y, z]) => [holds(x, values)?, holds(y, values)?, holds(z, values)?],
