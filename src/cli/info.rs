@@ -130,7 +130,11 @@ fn table(out: &mut impl Write, info: &SeriesInfo, figures: &[Figures], warnings:
         writeln!(out, "  there is {}  {} {} {}", other.name, shape.join("×"), other.dtype, other.kind)?;
     }
     let units = if info.grid.units.is_empty() { String::new() } else { format!(" {}", info.grid.units) };
-    writeln!(out, "grid      {nx}×{ny}×{nz}  spacing {dx} {dy} {dz}{units}  origin {x} {y} {z}  {}", info.grid.centering)?;
+    writeln!(
+        out,
+        "grid      {nx}×{ny}×{nz}  spacing {dx} {dy} {dz}{units}  origin {x} {y} {z}  {}",
+        info.grid.centering
+    )?;
     if let Some(([lo, hi], source)) = &info.range {
         writeln!(out, "range     {lo} to {hi} ({source})")?;
     }
@@ -149,7 +153,14 @@ fn table(out: &mut impl Write, info: &SeriesInfo, figures: &[Figures], warnings:
         }
     } else if let (Some(first), Some(last)) = (info.steps.first(), info.steps.last()) {
         let time = |t: Option<f64>| t.map_or(String::from("unknown"), |t| t.to_string());
-        writeln!(out, "          {} (time {}) to {} (time {})", first.step, time(first.time), last.step, time(last.time))?;
+        writeln!(
+            out,
+            "          {} (time {}) to {} (time {})",
+            first.step,
+            time(first.time),
+            last.step,
+            time(last.time)
+        )?;
     }
     for warning in warnings {
         writeln!(out, "warning   {warning}")?;

@@ -1,0 +1,94 @@
+//! Ray casting.
+
+use gloaming::BrickLayout;
+use gloaming::camera::Camera;
+use gloaming::device::{March, Phong, Term, Weight};
+use gloaming::field::EMPTY;
+use gloaming::frame::Frame;
+
+use super::*;
+
+/// Two blobs in empty space, one with a hole.
+fn blobs(size: [usize; 3]) -> Vec<f32> {
+    let grid = Grid::new(size);
+    let mut field = vec![0.0; grid.len()];
+    for (i, value) in field.iter_mut().enumerate() {
+        let at = Vec3::new((i % size[0]) as f32, (i / size[0] % size[1]) as f32, (i / (size[0] * size[1])) as f32);
+        let (a, b) = (at.distance(Vec3::new(12.0, 20.0, 14.0)), at.distance(Vec3::new(28.0, 50.0, 40.0)));
+        *value = if a < 2.5 { EMPTY } else { (1.1 - a / 9.0).max(1.0 - b / 7.0).max(0.0) };
+    }
+    field
+}
+
+/// Renders the blobs with and without skipping; both pictures of a device must be the same to the bit.
+fn picture(d: &dyn Device, camera: &Camera, weights: &[(Weight, bool)], phong: Option<Phong>) -> Vec<[f32; 4]> {
+    let (grid, field) = (anisotropic(), blobs(ODD));
+    let coarse = grid.resized([18, 32, 25]);
+    let bricks = BrickLayout::new(ODD, 8);
+    let field = upload(d, &field);
+    let ranges = d.brick_range(&bricks, &field).unwrap();
+    let majorant: Vec<f32> = ranges.iter().map(|r| if r[1] > table().lo { 1.0 } else { 0.0 }).collect();
+    assert!(majorant.contains(&0.0) && majorant.contains(&1.0));
+    let volumes: Vec<(Buffer, &Grid)> = (40..)
+        .zip(weights)
+        .map(|(seed, (_, fine))| if *fine { (seed, &grid) } else { (seed, &coarse) })
+        .map(|(seed, grid)| (upload(d, &noise(seed, grid.len())), grid))
+        .collect();
+    let terms: Vec<Term> = volumes
+        .iter()
+        .zip(weights)
+        .map(|((values, grid), (weight, _))| Term { values, grid, weight: *weight })
+        .collect();
+    let [skipping, plain] = [&majorant[..], &[]].map(|majorant| {
+        let mut frame = Frame::new([61, 43]);
+        let table = table();
+        let grid = &grid;
+        d.march(
+            &March { grid, field: &field, table: &table, bricks, majorant, terms: &terms, phong, camera, step: 0.011 },
+            &mut frame,
+        )
+        .unwrap();
+        frame.pixels
+    });
+    assert_eq!(skipping, plain, "skipping empty bricks moves a sample on {}", d.name());
+    skipping
+}
+
+fn cameras() -> [Camera; 3] {
+    let centre = Vec3::new(1.37, -1.52, 1.25);
+    let from = |eye: Vec3| Camera::look_at(eye, centre, Vec3::Z, 40.0);
+    [from(Vec3::new(2.6, -4.0, 2.0)), from(Vec3::new(1.1, -1.8, 0.6)), from(Vec3::new(-2.0, -1.52, 1.25))]
+}
+
+fn phase(direction: [f32; 3], g: f32) -> Weight {
+    Weight::Phase { direction: Vec3::from(direction).normalize(), irradiance: [3.0, 2.0, 1.0], g }
+}
+
+#[test]
+fn marches_agree() {
+    let weights = [
+        (Weight::Uniform([0.2, 0.1, 0.3]), false),
+        (phase([0.3, -0.5, -0.8], 0.6), true),
+        (Weight::Current { axis: 1, weight: [0.3, 0.2, -0.4] }, false),
+    ];
+    let towards_light = Vec3::new(-0.3, 0.5, 0.8).normalize();
+    let phong = Phong { towards_light, ambient: 0.3, diffuse: 0.7, specular: 0.4, shininess: 20.0 };
+    for (camera, phong) in cameras().iter().zip([None, Some(phong), None]) {
+        for weights in [&weights[..], &[]] {
+            let [want, got] = both(|d| picture(d, camera, weights, phong));
+            assert!(want.iter().any(|p| p[3] > 0.5));
+            assert_close(want.as_flattened(), got.as_flattened(), 2e-5, &format!("{camera:?}"));
+        }
+    }
+}
+
+/// More light volumes than a kernel binds: the smaller ones are copied together.
+#[test]
+fn many_lights_agree() {
+    let mut weights: Vec<(Weight, bool)> =
+        (0..9).map(|i| (Weight::Current { axis: i % 3, weight: [0.1 * i as f32, 0.2, 0.3] }, i == 4)).collect();
+    weights.push((phase([1.0, 0.0, 0.0], -0.3), true));
+    weights.push((Weight::Uniform([0.5, 0.4, 0.3]), false));
+    let [want, got] = both(|d| picture(d, &cameras()[0], &weights, None));
+    assert_close(want.as_flattened(), got.as_flattened(), 2e-5, "11 lights");
+}

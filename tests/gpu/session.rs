@@ -1,0 +1,41 @@
+//! Whole steps: classified, lit, kept warm and rendered on either device.
+
+use gloaming::scene::Scene;
+use gloaming::session::Session;
+use gloaming::sink::Output;
+use gloaming::source::{self, SourceSpec};
+
+use super::*;
+
+const SMOKE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/smoke.h5");
+
+fn steps(device: Arc<dyn Device>, sets: &[&str]) -> Vec<Output> {
+    let common = ["render.size=[96, 64]", "light.resolution=0.25", "light.directions=8"];
+    let sets: Vec<String> = common.iter().chain(sets).map(|s| s.to_string()).collect();
+    let mut session = Session::new(device, Scene::load(None, &sets).unwrap(), Some([0.0, 1.0]), true).unwrap();
+    let series = source::open(&SourceSpec { series: vec![SMOKE.into()], ..Default::default() }).unwrap();
+    (20..23).map(|i| session.advance(series.timestep(i).unwrap()).unwrap()).collect()
+}
+
+fn assert_same_steps(sets: &[&str], tolerance: f32) {
+    let (want, got) = (steps(Arc::new(Cpu::new(0).unwrap()), sets), steps(shared().clone(), sets));
+    for (step, (want, got)) in want.iter().zip(&got).enumerate() {
+        let [a, b] = [want, got].map(|o| o.frames[0].frame.pixels.as_flattened());
+        assert!(a.iter().any(|v| *v > 0.01), "step {step} shows something");
+        assert_close(a, b, tolerance, &format!("picture {step}"));
+        let [a, b] = [want, got].map(|o| o.light.as_ref().unwrap().fluence.as_flattened());
+        assert_close(a, b, tolerance, &format!("light {step}"));
+        assert_eq!(want.row.start, got.row.start);
+    }
+}
+
+#[test]
+fn direct_light_agrees() {
+    assert_same_steps(&["light.scattering=false"], 1e-4);
+}
+
+/// Both devices iterate to the scene's tolerance; where they stop differs by rounding.
+#[test]
+fn scattered_light_agrees() {
+    assert_same_steps(&["transfer.anisotropy=0.5", "light.tolerance=1e-3"], 2e-3);
+}
