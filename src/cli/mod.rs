@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 use gloaming::Error;
 
 mod compare;
+mod demo;
 mod devices;
 mod info;
 mod memory;
@@ -29,6 +30,7 @@ struct Cli {
 
 const AFTER_HELP: &str = "\
 Examples:
+  gloaming demo
   gloaming devices
   gloaming render run/plt_*.h5 --out movie.mp4
 
@@ -40,6 +42,7 @@ enum Command {
     Render(Box<render::RenderArgs>),
     Info(InfoArgs),
     Compare(compare::CompareArgs),
+    Demo(demo::DemoArgs),
     Devices(devices::DevicesArgs),
 }
 
@@ -113,6 +116,7 @@ pub fn main() -> ExitCode {
         Command::Render(args) => render::run(*args, cli.loudness.quiet, bars),
         Command::Info(args) => info::run(&args.series.spec(), args.stats, args.probe, args.json).map(|()| Done::Whole),
         Command::Compare(args) => compare::run(&args).map(|()| Done::Whole),
+        Command::Demo(args) => demo::run(&args, cli.loudness.quiet, &bars),
         Command::Devices(args) => devices::run(&args).map(|()| Done::Whole),
     };
     match done {
