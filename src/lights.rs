@@ -57,9 +57,9 @@ fn first_picture() -> Vec<Light> {
     let distant =
         |direction: [f32; 3], irradiance| Light::Distant { direction: Vec3::from(direction).normalize(), irradiance };
     vec![
-        distant([0.43, 1.06, -1.0], [7.0, 6.7, 6.3]),
-        distant([-1.08, 0.07, -0.2], [1.2, 1.35, 1.6]),
-        Light::Environment { radiance: [0.12, 0.13, 0.15] },
+        distant([0.85, 0.75, -0.9], [8.5, 8.1, 7.6]),
+        distant([-1.08, 0.07, -0.2], [0.7, 0.8, 0.95]),
+        Light::Environment { radiance: [0.07, 0.075, 0.085] },
     ]
 }
 

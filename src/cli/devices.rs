@@ -6,6 +6,8 @@ use std::sync::Arc;
 use clap::Args;
 use gloaming::device::Device;
 use gloaming::device::cpu::{Cpu, simd};
+#[cfg(feature = "gpu")]
+use gloaming::device::gpu::{self, Gpu};
 use serde_json::{Value, json};
 
 /// List what this machine can compute on
@@ -40,12 +42,37 @@ pub fn run(args: &DevicesArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+#[cfg(feature = "gpu")]
+fn adapters() -> Value {
+    json!(gpu::adapters())
+}
+
+#[cfg(not(feature = "gpu"))]
 fn adapters() -> Value {
     json!([])
 }
 
+#[cfg(feature = "gpu")]
 fn write_adapters(out: &mut impl Write) -> std::io::Result<()> {
-    writeln!(out, "this version computes on the CPU alone")
+    let adapters = gpu::adapters();
+    if adapters.is_empty() {
+        writeln!(out, "no GPU, or no driver for it")?;
+    }
+    for a in adapters {
+        let kind = if a.hardware { "hardware" } else { "software" };
+        writeln!(out, "{} ({}, {kind}, {})", a.name, a.backend, a.driver)?;
+        let mib = |bytes: u64| bytes >> 20;
+        writeln!(out, "  buffers up to {} MiB, bound up to {} MiB", mib(a.max_buffer), mib(a.max_binding))?;
+        if let Some(lacks) = a.lacks {
+            writeln!(out, "  cannot be used: lacks {lacks}")?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(not(feature = "gpu"))]
+fn write_adapters(out: &mut impl Write) -> std::io::Result<()> {
+    writeln!(out, "built without GPU support (feature `gpu`)")
 }
 
 /// The device that `--device` names: `auto` takes a hardware GPU where there is one, else the CPU.
@@ -61,10 +88,28 @@ pub fn open(choice: &str) -> gloaming::Result<Arc<dyn Device>> {
     }
 }
 
+#[cfg(feature = "gpu")]
+fn hardware() -> Option<Arc<dyn Device>> {
+    match Gpu::hardware() {
+        Ok(gpu) => gpu.map(|gpu| Arc::new(gpu) as Arc<dyn Device>),
+        Err(e) => {
+            tracing::debug!("{e}");
+            None
+        }
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
 fn hardware() -> Option<Arc<dyn Device>> {
     None
 }
 
+#[cfg(feature = "gpu")]
+fn open_gpu(name: Option<&str>) -> gloaming::Result<Arc<dyn Device>> {
+    Ok(Arc::new(Gpu::open(name)?))
+}
+
+#[cfg(not(feature = "gpu"))]
 fn open_gpu(_: Option<&str>) -> gloaming::Result<Arc<dyn Device>> {
-    Err(gloaming::Error::Device("this version computes on the CPU\n  try: --device cpu".into()))
+    Err(gloaming::Error::Device("built without GPU support (feature `gpu`)\n  try: --device cpu".into()))
 }
