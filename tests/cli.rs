@@ -10,7 +10,13 @@ use tempfile::TempDir;
 
 fn gloaming(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gloaming"));
-    command.args(arguments).current_dir(folder).env_remove("RUST_LOG").output().expect("the program starts")
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .env_remove("RUST_LOG")
+        .env_remove("XDG_RUNTIME_DIR")
+        .output()
+        .expect("the program starts")
 }
 
 fn folder() -> TempDir {
@@ -145,6 +151,7 @@ fn devices_are_listed_for_people_and_programs() {
     let here = folder();
     let listed = gloaming(here.path(), &["devices"]);
     ends(&listed, 0);
+    assert_eq!(stderr(&listed), "", "drivers are not heard either");
     assert!(stdout(&listed).contains("cpu (") && stdout(&listed).contains("threads"), "{}", stdout(&listed));
     let listed = gloaming(here.path(), &["devices", "--json"]);
     ends(&listed, 0);

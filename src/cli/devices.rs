@@ -75,6 +75,26 @@ fn write_adapters(out: &mut impl Write) -> std::io::Result<()> {
     writeln!(out, "built without GPU support (feature `gpu`)")
 }
 
+/// Starts the program anew with `XDG_RUNTIME_DIR` set where it is not, as in batch jobs and containers: Vulkan loaders
+/// complain on stderr about its absence, in a line that reads like an error of ours. (A process cannot safely change its own
+/// environment.)
+#[cfg(all(feature = "gpu", unix))]
+pub fn silence_loaders() {
+    use std::os::unix::process::CommandExt;
+    const NEEDED: &str = "XDG_RUNTIME_DIR";
+    if std::env::var_os(NEEDED).is_some() {
+        return;
+    }
+    let arguments = std::env::args_os().skip(1);
+    let Ok(program) = std::env::current_exe() else { return };
+    let why = std::process::Command::new(program).args(arguments).env(NEEDED, std::env::temp_dir()).exec();
+    tracing::debug!("cannot start anew: {why}");
+}
+
+/// Nothing to silence here.
+#[cfg(not(all(feature = "gpu", unix)))]
+pub fn silence_loaders() {}
+
 /// The device that `--device` names: `auto` takes a hardware GPU where there is one, else the CPU.
 pub fn open(choice: &str) -> gloaming::Result<Arc<dyn Device>> {
     match choice {

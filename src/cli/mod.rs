@@ -104,6 +104,9 @@ enum Done {
 /// Runs the program.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    if matches!(cli.command, Command::Render(_) | Command::Devices(_)) {
+        devices::silence_loaders();
+    }
     let bars = indicatif::MultiProgress::new();
     tracing_subscriber::fmt()
         .with_env_filter(cli.loudness.filter())
