@@ -127,6 +127,34 @@ fn another_grid_part_way_is_refused_and_the_steps_before_are_kept() {
     assert_eq!(with_vtk(&folder.path().join("light.vtkhdf")).1, flat(&[light(GRID, 1)]));
 }
 
+#[test]
+fn raw_volumes_are_described_for_each_step_and_for_the_series() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = open(folder.path(), "out/light_{step:04}.raw");
+    let out = folder.path().join("out");
+    for (n, step) in [3u64, 9, 12].into_iter().enumerate() {
+        sink.write(&output(step, Some(0.1 * step as f64), light(GRID, n as u32))).unwrap();
+    }
+    sink.write(&output(12, Some(1.25), light(GRID, 5))).unwrap();
+    sink.finish().unwrap();
+    let names_of = |step: u32| [format!("light_{step:04}.raw"), format!("light_{step:04}.xmf")];
+    let expected = [vec!["light.xmf".to_string()], [3, 9, 12].map(names_of).concat()].concat();
+    assert_eq!(names(&out), expected);
+    assert!(sink.paths(9).iter().all(|p| p.exists()));
+
+    let bytes: Vec<u8> = flat(&[light(GRID, 1)]).iter().flat_map(|v| v.to_le_bytes()).collect();
+    assert_eq!(std::fs::read(out.join("light_0009.raw")).unwrap(), bytes);
+
+    let (said, values) = with_vtk(&out.join("light.xmf"));
+    assert_eq!(said["times"], serde_json::json!([0.1 * 3.0, 0.1 * 9.0, 1.25]));
+    check_geometry(&said);
+    assert_eq!(values, flat(&[light(GRID, 0), light(GRID, 1), light(GRID, 5)]));
+
+    let (said, values) = with_vtk(&out.join("light_0009.xmf"));
+    check_geometry(&said);
+    assert_eq!(values, flat(&[light(GRID, 1)]));
+}
+
 /// With file sizes limited (as with a full disk) the error names the file, and the steps that fitted are kept. The test
 /// runs itself under the limit.
 #[test]

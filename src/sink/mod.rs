@@ -6,6 +6,7 @@
 //! | `frames/frame_{step:06}.png` | 8-bit pictures | frames, with background, exposure, tone map, overlay |
 //! | `frames/frame_{step:06}.exr` | scene-linear pictures | frames as rendered |
 //! | `light.vtkhdf` | temporal VTKHDF ImageData | the illuminated volume |
+//! | `light_{step:06}.raw` | raw f32 with an `.xmf` each, and `light.xmf` for all | the illuminated volume |
 //!
 //! Folders are created. A file appears under its final name only when it is whole: what takes one step is written beside
 //! it and renamed; what takes all steps grows under a name with `.partial` in it until [`Sink::finish`].
@@ -24,6 +25,7 @@ use crate::scene::{Overlay, Scene};
 pub mod exr;
 mod mp4;
 mod png;
+mod raw;
 mod template;
 mod vtkhdf;
 mod whole;
@@ -161,7 +163,7 @@ impl SinkOptions {
     }
 }
 
-const KNOWN: &str = ".mp4, .png, .exr, .vtkhdf";
+const KNOWN: &str = ".mp4, .png, .exr, .vtkhdf, .raw";
 
 /// Opens the sink for an output path, by its extension. See the table of this [module](self).
 ///
@@ -195,6 +197,12 @@ pub fn open(target: &str, options: &SinkOptions) -> Result<Box<dyn Sink>> {
             no_camera(&template)?;
             whole::writable_folder(&template.folder())?;
             Ok(Box::new(vtkhdf::VtkHdf::new(template, options)))
+        }
+        "raw" => {
+            one_file_per_step(&template, &options)?;
+            no_camera(&template)?;
+            whole::writable_folder(&template.folder())?;
+            Ok(Box::new(raw::Raw::new(template)))
         }
         "" => Err(Error::format(target, "no extension, which picks the format", format!("one of {KNOWN}"))),
         other => Err(Error::format(target, format!("unknown output format `.{other}`"), format!("one of {KNOWN}"))),

@@ -1,0 +1,155 @@
+//! Raw volumes with XDMF: the illuminated volume of each step as little-endian f32 in (z, y, x, rgb) order without a header,
+//! described by an `.xmf` beside it, and one `.xmf` for all steps that ParaView opens as a series:
+//! `light_{step:06}.raw` makes `light_000120.raw`, `light_000120.xmf` and `light.xmf`.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, BytesText, Event};
+
+use super::template::Template;
+use super::whole::write_whole;
+use super::{IlluminatedVolume, Output, Sink};
+use crate::error::{Error, Result};
+use crate::grid::Grid;
+
+/// Writes one raw file and its description per step, and the description of the series after each.
+pub(super) struct Raw {
+    template: Template,
+    steps: Vec<Step>,
+}
+
+/// What a description says of one step.
+struct Step {
+    step: u64,
+    time: f64,
+    grid: Grid,
+    raw: PathBuf,
+}
+
+impl Raw {
+    pub(super) fn new(template: Template) -> Self {
+        Raw { template, steps: vec![] }
+    }
+
+    /// The description of all steps; none when there is one step, which has its own.
+    fn series(&self) -> Option<PathBuf> {
+        let name = self.template.without_step().with_extension("xmf");
+        self.template.has_step().then(|| self.template.folder().join(name.file_name().unwrap_or_default()))
+    }
+}
+
+impl Sink for Raw {
+    fn write(&mut self, output: &Output) -> Result<()> {
+        let Some(light) = &output.light else { return Ok(()) };
+        let raw = self.template.path(output.step, "");
+        write_whole(&raw, |file| write_values(file, light).map_err(|e| Error::io(&raw, e)))?;
+        let time = output.time.unwrap_or(output.step as f64);
+        let step = Step { step: output.step, time, grid: light.grid, raw };
+        describe(&step.raw.with_extension("xmf"), std::slice::from_ref(&step), false)?;
+        self.steps.retain(|s| s.step != step.step);
+        self.steps.push(step);
+        self.series().map_or(Ok(()), |path| describe(&path, &self.steps, true))
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn wants_light(&self) -> bool {
+        true
+    }
+
+    fn wants_frames(&self) -> bool {
+        false
+    }
+
+    fn paths(&self, step: u64) -> Vec<PathBuf> {
+        let raw = self.template.path(step, "");
+        vec![raw.with_extension("xmf"), raw]
+    }
+}
+
+fn write_values(file: &mut impl Write, light: &IlluminatedVolume) -> std::io::Result<()> {
+    if cfg!(target_endian = "little") {
+        return file.write_all(bytemuck::cast_slice(&light.fluence));
+    }
+    light.fluence.iter().flatten().try_for_each(|v| file.write_all(&v.to_le_bytes()))
+}
+
+/// Writes a description of steps, as a temporal collection or of the one step alone.
+fn describe(path: &Path, steps: &[Step], collection: bool) -> Result<()> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    write_whole(path, |file| {
+        let mut xml = Writer::new_with_indent(file, b' ', 2);
+        let written = xml.write_event(Event::Decl(BytesDecl::new("1.0", None, None))).and_then(|()| {
+            xml.create_element("Xdmf").with_attribute(("Version", "2.0")).write_inner_content(|xml| {
+                xml.create_element("Domain").write_inner_content(|xml| {
+                    if !collection {
+                        return steps.iter().try_for_each(|s| write_step(xml, s, folder));
+                    }
+                    xml.create_element("Grid")
+                        .with_attributes([
+                            ("Name", "light"),
+                            ("GridType", "Collection"),
+                            ("CollectionType", "Temporal"),
+                        ])
+                        .write_inner_content(|xml| steps.iter().try_for_each(|s| write_step(xml, s, folder)))?;
+                    Ok(())
+                })?;
+                Ok(())
+            })?;
+            Ok(())
+        });
+        written.map_err(|e| Error::io(path, e))
+    })
+}
+
+/// One grid. XDMF lists dimensions, origin and spacing z, y, x.
+fn write_step<W: Write>(xml: &mut Writer<W>, step: &Step, folder: &Path) -> std::io::Result<()> {
+    let reversed = |[x, y, z]: [f64; 3]| format!("{z} {y} {x}");
+    let [nx, ny, nz] = step.grid.size;
+    let size = format!("{nz} {ny} {nx}");
+    let raw = step.raw.strip_prefix(folder).unwrap_or(&step.raw).to_string_lossy();
+    let name = format!("step {}", step.step);
+    xml.create_element("Grid")
+        .with_attributes([("Name", name.as_str()), ("GridType", "Uniform")])
+        .write_inner_content(|xml| {
+            xml.create_element("Time").with_attribute(("Value", step.time.to_string().as_str())).write_empty()?;
+            let topology = [("TopologyType", "3DCoRectMesh"), ("Dimensions", size.as_str())];
+            xml.create_element("Topology").with_attributes(topology).write_empty()?;
+            xml.create_element("Geometry").with_attribute(("GeometryType", "ORIGIN_DXDYDZ")).write_inner_content(
+                |xml| {
+                    for (name, values) in [("Origin", step.grid.origin), ("Spacing", step.grid.spacing)] {
+                        let item = [
+                            ("Name", name),
+                            ("Format", "XML"),
+                            ("NumberType", "Float"),
+                            ("Precision", "8"),
+                            ("Dimensions", "3"),
+                        ];
+                        let item = xml.create_element("DataItem").with_attributes(item);
+                        item.write_text_content(BytesText::new(&reversed(values)))?;
+                    }
+                    Ok(())
+                },
+            )?;
+            let attribute = [("Name", "fluence"), ("AttributeType", "Vector"), ("Center", "Node")];
+            xml.create_element("Attribute").with_attributes(attribute).write_inner_content(|xml| {
+                let dimensions = format!("{size} 3");
+                let item = [
+                    ("Format", "Binary"),
+                    ("NumberType", "Float"),
+                    ("Precision", "4"),
+                    ("Endian", "Little"),
+                    ("Dimensions", dimensions.as_str()),
+                ];
+                let item = xml.create_element("DataItem").with_attributes(item);
+                item.write_text_content(BytesText::new(&raw))?;
+                Ok(())
+            })?;
+            Ok(())
+        })?;
+    Ok(())
+}
