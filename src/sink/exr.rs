@@ -1,4 +1,4 @@
-//! OpenEXR: scene-linear frames before background, exposure and tone map, premultiplied RGBA in 32-bit float, ZIP.
+//! OpenEXR: scene-linear frames before background, exposure and tone map, premultiplied RGBA in 32-bit float.
 //!
 //! Attributes of a file:
 //!

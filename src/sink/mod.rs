@@ -24,6 +24,7 @@ use crate::scene::{Overlay, Scene};
 
 pub mod exr;
 mod mp4;
+mod overlay;
 mod png;
 mod raw;
 mod template;
@@ -158,8 +159,9 @@ impl From<&Scene> for SinkOptions {
 impl SinkOptions {
     /// A view as people see it: background, exposure, tone map, overlay.
     pub fn picture(&self, output: &Output, view: &View) -> RgbImage {
-        let _ = output;
-        self.display.picture(&view.frame)
+        let mut picture = self.display.picture(&view.frame);
+        overlay::draw(&mut picture, self, output, view);
+        picture
     }
 }
 
