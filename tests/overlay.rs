@@ -81,7 +81,8 @@ fn ink_stands_out_on_dark_and_bright_backgrounds() {
     let row = LedgerRow::default();
     let output = Output { step: 7, time: None, range: [0.0, 1.0], frames: vec![view], light: None, row };
     let picture = options.picture(&output, &output.frames[0]);
-    assert!(picture.pixels().filter(|p| p.0[1] < 80).count() > 100);
+    let dark = picture.pixels().filter(|p| p.0[1] < 80).count();
+    assert!(dark > 100, "{dark}");
 }
 
 #[test]

@@ -46,7 +46,7 @@ impl Sheet {
         let [r, g, b] = options.display.background.map(|v| f32::from(options.display.encode(v)));
         let bright = 0.2126 * r + 0.7152 * g + 0.0722 * b > 128.0;
         let (ink, around) = if bright { ([20; 3], [255; 3]) } else { ([240; 3], [0; 3]) };
-        Sheet { width, height, face, em, margin: 0.8 * em, halo: em / 8.0, ink, around }
+        Sheet { width, height, face, em, margin: 0.8 * em, halo: (em / 8.0).max(3.0), ink, around }
     }
 
     /// Prints one line of text with its upper left corner at a point.

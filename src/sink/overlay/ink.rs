@@ -106,7 +106,7 @@ impl Ink {
                 let at = y * self.width + x;
                 let pixel = picture.get_pixel_mut(px as u32, py as u32);
                 for c in 0..3 {
-                    let under = mix(f32::from(pixel.0[c]), f32::from(around[c]), 0.8 * shade[at]);
+                    let under = mix(f32::from(pixel.0[c]), f32::from(around[c]), 0.85 * shade[at]);
                     pixel.0[c] = mix(under, f32::from(color[c]), self.cover[at]).round() as u8;
                 }
             }
