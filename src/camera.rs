@@ -108,17 +108,6 @@ impl Camera {
             tan: (tan / keys.zoom) as f32,
         })
     }
-
-    /// Two cameras of one name would write the same files: an [`Error::Scene`] naming `cameras.name`.
-    pub fn check_names(cameras: &[CameraKeys]) -> Result<()> {
-        let twice = |(i, camera): &(usize, &CameraKeys)| cameras[..*i].iter().any(|other| other.name == camera.name);
-        match cameras.iter().enumerate().find(twice) {
-            None => Ok(()),
-            Some((_, camera)) => {
-                Err(Error::scene("cameras.name", format!("there are two cameras \"{}\": rename one", camera.name)))
-            }
-        }
-    }
 }
 
 /// Views from all azimuths at one elevation.
@@ -271,8 +260,5 @@ mod tests {
                 other => panic!("{expected}: {other:?}"),
             }
         }
-        let names = ["a", "b", "a"].map(|name| CameraKeys { name: name.into(), ..good() });
-        assert!(Camera::check_names(&names[..2]).is_ok());
-        assert!(matches!(Camera::check_names(&names), Err(Error::Scene { key, .. }) if key == "cameras.name"));
     }
 }
