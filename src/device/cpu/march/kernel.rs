@@ -99,8 +99,8 @@ impl<V: Lanes> Rays<V> {
 
         // Slabs. A component of nearly 0 counts as barely positive: neither 0/0 nor ∞·0 can arise.
         let (mut near, mut far) = (V::splat(0.0), V::splat(f32::MAX));
-        for a in 0..3 {
-            let inverse = V::splat(1.0) / Self::nonzero(slope[a]);
+        for (a, &slope) in slope.iter().enumerate() {
+            let inverse = V::splat(1.0) / Self::nonzero(slope);
             let below = (V::splat(-0.5) - V::splat(plan.eye[a])) * inverse;
             let above = (V::splat(plan.top[a]) - V::splat(plan.eye[a])) * inverse;
             near = below.min(above).max(near);

@@ -190,5 +190,5 @@ proptest! {
 fn the_pictures_compared_show_something() {
     let grid = Grid { size: [20, 21, 22], spacing: [0.5, 1.0, 0.75], origin: [10.0, -3.0, 0.0] };
     let values = field(&grid, 5);
-    assert!(values.iter().any(|&v| v == EMPTY) && values.iter().any(|&v| v > 0.3) && values.contains(&0.0));
+    assert!(values.contains(&EMPTY) && values.iter().any(|&v| v > 0.3) && values.contains(&0.0));
 }
