@@ -18,6 +18,7 @@ pub mod simd;
 mod source;
 pub(crate) mod sweep;
 mod sweep_cubic;
+mod sweep_x;
 mod transport;
 
 /// The CPU.

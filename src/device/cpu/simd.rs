@@ -77,17 +77,17 @@ macro_rules! dispatch {
 }
 pub(crate) use dispatch;
 
-/// Asks for the cache line of `values[at]`, if there is one. Rows of a brick are too short for the hardware to see a
+/// Asks for the cache line of an address, if there is one. Rows of a brick are too short for the hardware to see a
 /// stream: without this a brick waits for memory most of the time.
 #[inline(always)]
-pub fn prefetch(values: *const f32, at: usize) {
+pub fn prefetch(at: *const f32) {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: a prefetch reads nothing and faults nowhere; `wrapping_add` makes no claim about the address.
+    // SAFETY: a prefetch reads nothing and faults nowhere.
     unsafe {
-        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(values.wrapping_add(at).cast());
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(at.cast());
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = (values, at);
+    let _ = at;
 }
 
 /// `to[j·to_stride + i] = from[i·from_stride + j]` for i < rows, j < cols: rows of memory become columns.

@@ -9,12 +9,13 @@
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-use super::simd::{dispatch, exp, prefetch, transpose};
+use super::simd::{dispatch, exp, prefetch};
+use super::sweep_x::region_along_x;
 use crate::device::Sweep;
 use crate::grid::{BrickLayout, Region};
 
 /// Values in a cache line.
-const LINE: usize = 16;
+pub(super) const LINE: usize = 16;
 
 /// Axes of a sweep: layers along the dominant axis, rows and columns across it (columns contiguous where possible), and
 /// the lateral offset of the foot, in voxels per layer.
@@ -49,6 +50,19 @@ unsafe impl Sync for Shared {}
 impl Shared {
     pub(super) fn new(values: &mut [f32]) -> Self {
         Shared(values.as_mut_ptr(), values.len())
+    }
+
+    /// Values that are only read.
+    pub(super) fn reading(values: &[f32]) -> Self {
+        Shared(values.as_ptr().cast_mut(), values.len())
+    }
+
+    /// One value that nobody writes now.
+    #[inline(always)]
+    pub(super) fn get(self, at: usize) -> f32 {
+        self.check(at, 1);
+        // SAFETY: in bounds; fronts order reads after writes.
+        unsafe { *self.0.add(at) }
     }
 
     /// `n` values from `at` on.
@@ -100,8 +114,11 @@ pub(crate) fn sweep(
     let mut changes = Vec::with_capacity(listed);
     for front in fronts {
         let one = |&b: &u32| {
-            SCRATCH
-                .with_borrow_mut(|scratch| brick(&axes, sweep, layout.region(b as usize), sigma, shared, scratch, true))
+            SCRATCH.with_borrow_mut(|scratch| {
+                let region = layout.region(b as usize);
+                let solve = if axes.layer == 0 { region_along_x } else { brick };
+                solve(&axes, sweep, region, sigma, shared, scratch, true)
+            })
         };
         if front.len() == 1 {
             changes.push(one(&front[0]));
@@ -112,35 +129,38 @@ pub(crate) fn sweep(
     changes
 }
 
-/// The whole grid, when nothing is to be skipped: blocks as long as the grid's columns, so that memory is read in long rows.
-/// Bit for bit what the bricks give. Blocks on a diagonal of (layer, row) are independent.
+/// The whole grid, when nothing is to be skipped: blocks long in memory, so that it is read in long runs. Bit for bit what the
+/// bricks give. Blocks on a diagonal are independent.
 fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
-    // Along x the block is transposed in cache: fewer rows of it fit.
-    let (depth, breadth) = if axes.layer == 0 { (32, 8) } else { (32, 16) };
     let size = sweep.size;
-    let (layers, rows) = (size[axes.layer].div_ceil(depth), size[axes.row].div_ceil(breadth));
-    for diagonal in 0..layers + rows - 1 {
-        let first = diagonal.saturating_sub(rows - 1);
-        (first..layers.min(diagonal + 1)).into_par_iter().with_max_len(1).for_each(|l| {
-            let r = diagonal - l;
+    let along = [axes.layer, axes.row, axes.col];
+    let forward = [axes.ascending, axes.row_offset >= 0.0, axes.col_offset >= 0.0];
+    // Layers, rows, columns of a block. Along x memory runs with the layers, else with the columns.
+    let block = if axes.layer == 0 { [128, 16, 64] } else { [32, 16, size[0]] };
+    let counts: [usize; 3] = std::array::from_fn(|a| size[along[a]].div_ceil(block[a]));
+    for diagonal in 0..counts.iter().sum::<usize>() - 2 {
+        let blocks: Vec<[usize; 3]> = (0..counts[0] * counts[1])
+            .map(|i| [i % counts[0], i / counts[0]])
+            .filter_map(|[l, r]| Some([l, r, diagonal.checked_sub(l + r)?]))
+            .filter(|b| b[2] < counts[2])
+            .collect();
+        blocks.par_iter().with_max_len(1).for_each(|at| {
             let mut region = Region { start: [0; 3], size };
-            let mut cut = |axis: usize, n: usize, count: usize, part: usize, ascending: bool| {
-                let part = if ascending { part } else { count - 1 - part };
-                region.start[axis] = part * n;
-                region.size[axis] = n.min(size[axis] - part * n);
-            };
-            cut(axes.layer, depth, layers, l, axes.ascending);
-            cut(axes.row, breadth, rows, r, axes.row_offset >= 0.0);
-            if axes.layer == 0 {
-                SCRATCH.with_borrow_mut(|scratch| brick(axes, sweep, region, sigma, rho, scratch, false));
-            } else {
-                CONSTANT.with_borrow_mut(|constant| {
-                    if constant.0.len() < size[0] {
-                        *constant = (vec![1.0; size[0]], vec![0.0; size[0]]);
-                    }
-                    block(axes, sweep, region, sigma, rho, constant)
-                });
+            for a in 0..3 {
+                let part = if forward[a] { at[a] } else { counts[a] - 1 - at[a] };
+                region.start[along[a]] = part * block[a];
+                region.size[along[a]] = block[a].min(size[along[a]] - part * block[a]);
             }
+            if axes.layer == 0 {
+                SCRATCH.with_borrow_mut(|scratch| region_along_x(axes, sweep, region, sigma, rho, scratch, false));
+                return;
+            }
+            CONSTANT.with_borrow_mut(|constant| {
+                if constant.0.len() < size[0] {
+                    *constant = (vec![1.0; size[0]], vec![0.0; size[0]]);
+                }
+                self::block(axes, sweep, region, sigma, rho, constant)
+            });
         });
     }
 }
@@ -218,58 +238,77 @@ fn block_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Sh
 
 /// Bilinear weights of the foot: own row and column, upstream column, upstream row, both.
 #[inline(always)]
-fn weights(axes: &Axes) -> [f32; 4] {
+pub(super) fn weights(axes: &Axes) -> [f32; 4] {
     let (r, c) = (axes.row_offset.abs(), axes.col_offset.abs());
     [(1.0 - r) * (1.0 - c), (1.0 - r) * c, r * (1.0 - c), r * c]
 }
 
 /// The first layer: half a voxel inside the box.
 #[inline(always)]
-fn first_line(sigma: &[f32], half: f32, out: &mut [f32]) {
+pub(super) fn first_line(sigma: &[f32], half: f32, out: &mut [f32]) {
     out.iter_mut().zip(sigma).for_each(|(o, s)| *o = exp(half * s));
 }
 
-/// A brick with its upstream halo, layers first in order of travel: (layers + 1) × (rows + 1) × (columns + 1).
+/// Two planes of a gathered brick: the layer before and the one in hand.
 #[derive(Default)]
-struct Scratch {
-    sigma: Vec<f32>,
-    rho: Vec<f32>,
+pub(super) struct Scratch {
+    pub(super) sigma: Vec<f32>,
+    pub(super) rho: Vec<f32>,
+}
+
+impl Scratch {
+    /// Room for `len` values of each.
+    pub(super) fn fit(&mut self, len: usize) {
+        if self.sigma.len() < len {
+            self.sigma.resize(len, 0.0);
+            self.rho.resize(len, 0.0);
+        }
+    }
 }
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Where a gathered brick's voxels are: layer 0 is the upstream halo, row 0 the upstream row, and the upstream column
+/// A plane of a brick with its upstream halo, (rows + 1) × (columns + 1): row 0 is the upstream row, and the upstream column
 /// stands first or last so that a row is copied in the order of memory.
 #[derive(Clone, Copy)]
 struct Local {
-    layers: usize,
     rows: usize,
     cols: usize,
+    pitch: usize,
     row_forward: bool,
-    col_forward: bool,
+    /// Where the plane's own columns begin, and where the upstream column is.
+    body: usize,
+    halo: usize,
+    /// Grid column of the upstream column, where it exists.
+    col_before: Option<usize>,
 }
 
 impl Local {
-    fn pitch(&self) -> usize {
-        self.cols + 1
+    fn new(axes: &Axes, size: [usize; 3], region: &Region) -> Self {
+        let cols = region.size[axes.col];
+        let forward = axes.col_offset >= 0.0;
+        let start = region.start[axes.col];
+        Local {
+            rows: region.size[axes.row],
+            cols,
+            pitch: cols + 1,
+            row_forward: axes.row_offset >= 0.0,
+            body: usize::from(forward),
+            halo: if forward { 0 } else { cols },
+            col_before: if forward { start.checked_sub(1) } else { Some(start + cols).filter(|&c| c < size[axes.col]) },
+        }
     }
-    fn plane(&self) -> usize {
-        (self.rows + 1) * self.pitch()
-    }
-    /// Grid index along the layer axis of local layer `l`, −1 or beyond the grid for a halo outside.
-    fn layer_at(&self, r: &Region, axes: &Axes, l: usize) -> isize {
-        let (start, l) = (r.start[axes.layer] as isize, l as isize);
-        if axes.ascending { start + l - 1 } else { start + self.layers as isize - l }
-    }
-    fn row_at(&self, r: &Region, axes: &Axes, row: usize) -> isize {
-        let (start, row) = (r.start[axes.row] as isize, row as isize);
-        if self.row_forward { start + row - 1 } else { start + self.rows as isize - row }
-    }
-    /// Local layer of the brick's `i`-th voxel along the layer axis.
-    fn layer_of(&self, axes: &Axes, i: usize) -> usize {
-        if axes.ascending { i + 1 } else { self.layers - i }
+
+    /// Grid index of a local row; `None` for an upstream row outside the grid.
+    fn row_at(&self, axes: &Axes, size: [usize; 3], region: &Region, row: usize) -> Option<usize> {
+        let start = region.start[axes.row];
+        if self.row_forward {
+            (start + row).checked_sub(1)
+        } else {
+            Some(start + self.rows - row).filter(|&r| r < size[axes.row])
+        }
     }
 }
 
@@ -277,6 +316,7 @@ dispatch! {
     fn brick(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Shared, scratch: &mut Scratch, compare: bool) -> f32 = brick_body;
 }
 
+/// Sweeps a brick whose columns run along x; returns the largest change on its downstream faces if `compare`, else 0.
 #[inline(always)]
 fn brick_body(
     axes: &Axes,
@@ -287,30 +327,61 @@ fn brick_body(
     scratch: &mut Scratch,
     compare: bool,
 ) -> f32 {
-    let local = Local {
-        layers: region.size[axes.layer],
-        rows: region.size[axes.row],
-        cols: region.size[axes.col],
-        row_forward: axes.row_offset >= 0.0,
-        col_forward: axes.col_offset >= 0.0,
-    };
-    let need = (local.layers + 1) * local.plane();
-    if scratch.sigma.len() < need {
-        scratch.sigma.resize(need, 0.0);
-        scratch.rho.resize(need, 0.0);
+    let size = sweep.size;
+    let local = Local::new(axes, size, &region);
+    let plane = (local.rows + 1) * local.pitch;
+    scratch.fit(2 * plane);
+    let (mut s_up, mut s_now) = scratch.sigma[..2 * plane].split_at_mut(plane);
+    let (mut r_up, mut r_now) = scratch.rho[..2 * plane].split_at_mut(plane);
+    let sigma = Shared::reading(sigma);
+    let layers = region.size[axes.layer];
+    let start = region.start[axes.layer];
+    let layer_of = |l: usize| if axes.ascending { start + l } else { start + layers - 1 - l };
+    let before =
+        if axes.ascending { start.checked_sub(1) } else { Some(start + layers).filter(|&l| l < size[axes.layer]) };
+    if let Some(layer) = before {
+        gather(axes, size, &region, &local, layer, s_up, 0.0, true, sigma);
+        gather(axes, size, &region, &local, layer, r_up, 1.0, true, rho);
     }
-    let (s, r) = (&mut scratch.sigma[..need], &mut scratch.rho[..need]);
-    let sigma = Shared(sigma.as_ptr().cast_mut(), sigma.len());
-    gather(axes, sweep.size, &region, &local, s, 0.0, true, sigma);
-    gather(axes, sweep.size, &region, &local, r, 1.0, false, rho);
-
-    let first = local.layer_at(&region, axes, 0);
-    let outside = first < 0 || first as usize >= sweep.size[axes.layer];
-    march_layers(axes, sweep.length, &local, outside, s, r);
-    scatter(axes, sweep.size, &region, &local, r, rho, compare)
+    let (weights, half) = (weights(axes), -0.5 * sweep.length);
+    let (here, up, pitch, cols) = (local.body, 1 - local.body, local.pitch, local.cols);
+    let mut change = 0.0f32;
+    for l in 0..layers {
+        if l + 1 < layers {
+            ask(axes, size, &region, &local, layer_of(l + 1), sigma);
+            ask(axes, size, &region, &local, layer_of(l + 1), rho);
+        }
+        gather(axes, size, &region, &local, layer_of(l), s_now, 0.0, true, sigma);
+        gather(axes, size, &region, &local, layer_of(l), r_now, 1.0, false, rho);
+        for row in 1..=local.rows {
+            let at = row * pitch;
+            let (out, sigma) = (&mut r_now[at + here..][..cols], &s_now[at + here..][..cols]);
+            if l == 0 && before.is_none() {
+                first_line(sigma, half, out);
+                continue;
+            }
+            let feet = [at + here, at + up, at - pitch + here, at - pitch + up];
+            line(feet.map(|i| &r_up[i..][..cols]), feet.map(|i| &s_up[i..][..cols]), sigma, weights, half, out);
+        }
+        change = change.max(scatter(axes, size, &region, &local, layer_of(l), r_now, rho, compare, l + 1 == layers));
+        std::mem::swap(&mut s_up, &mut s_now);
+        std::mem::swap(&mut r_up, &mut r_now);
+    }
+    change
 }
 
-/// Copies a brick and its halo out of a grid; `fill` stands outside the grid. With `inside` false only the halo is copied.
+/// Asks for a layer of a brick.
+#[inline(always)]
+fn ask(axes: &Axes, size: [usize; 3], region: &Region, local: &Local, layer: usize, values: Shared) {
+    let stride = [1, size[0], size[0] * size[1]];
+    for row in region.start[axes.row]..region.end()[axes.row] {
+        let at = layer * stride[axes.layer] + row * stride[axes.row];
+        (0..local.cols).step_by(LINE).for_each(|i| prefetch(values.at(at + region.start[axes.col] + i)));
+        local.col_before.inspect(|c| prefetch(values.at(at + c)));
+    }
+}
+
+/// Copies a layer of a brick and its halo out of a grid; `fill` stands outside the grid. With `inside` false only the halo.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
 fn gather(
@@ -318,132 +389,65 @@ fn gather(
     size: [usize; 3],
     region: &Region,
     local: &Local,
+    layer: usize,
     out: &mut [f32],
     fill: f32,
     inside: bool,
     from: Shared,
 ) {
     let stride = [1, size[0], size[0] * size[1]];
-    // SAFETY: σ, which nobody writes, or the halo of ρ, which belongs to earlier fronts and is written by nobody now.
-    let read = |at: usize, n: usize| unsafe {
-        debug_assert!(at + n <= from.1);
-        std::slice::from_raw_parts(from.0.cast_const().add(at), n)
-    };
-    let (pitch, plane) = (local.pitch(), local.plane());
-    let col_start = region.start[axes.col];
-    // First grid column of a local row, and where the columns of the grid begin in it.
-    let halo_col = if local.col_forward { col_start.checked_sub(1) } else { Some(col_start + local.cols) };
-    let halo_col = halo_col.filter(|&c| c < size[axes.col]);
-    let body = usize::from(local.col_forward);
-    let halo_slot = if local.col_forward { 0 } else { local.cols };
-    let on_grid = |at: isize, n: usize| (at >= 0 && (at as usize) < n).then_some(at as usize);
-
-    if axes.col == 0 {
-        for l in 0..=local.layers {
-            let layer = on_grid(local.layer_at(region, axes, l), size[axes.layer]);
-            for row in 0..=local.rows {
-                let ahead = on_grid(local.layer_at(region, axes, l + 1), size[axes.layer]);
-                if let Some((layer, row)) = ahead.zip(on_grid(local.row_at(region, axes, row), size[axes.row])) {
-                    let at = layer * stride[axes.layer] + row * stride[axes.row] + col_start;
-                    (0..local.cols).step_by(LINE).for_each(|i| prefetch(from.0, at + i));
-                    halo_col.inspect(|c| prefetch(from.0, at - col_start + c));
-                }
-                let out = &mut out[l * plane + row * pitch..][..pitch];
-                let at = layer.zip(on_grid(local.row_at(region, axes, row), size[axes.row]));
-                let Some((layer, grid_row)) = at else {
-                    out.fill(fill);
-                    continue;
-                };
-                let base = layer * stride[axes.layer] + grid_row * stride[axes.row];
-                if inside || l == 0 || row == 0 {
-                    out[body..body + local.cols].copy_from_slice(read(base + col_start, local.cols));
-                }
-                out[halo_slot] = halo_col.map_or(fill, |c| read(base + c, 1)[0]);
-            }
-        }
-        return;
-    }
-    // x-dominant: memory rows run along the layers; columns are y, rows are z.
-    let x_start = region.start[0];
-    let halo_x = on_grid(local.layer_at(region, axes, 0), size[0]);
-    for row in 0..=local.rows {
-        let Some(z) = on_grid(local.row_at(region, axes, row), size[2]) else {
-            for l in 0..=local.layers {
-                out[l * plane + row * pitch..][..pitch].fill(fill);
-            }
+    for (row, out) in out.chunks_exact_mut(local.pitch).enumerate() {
+        let Some(grid_row) = local.row_at(axes, size, region, row) else {
+            out.fill(fill);
             continue;
         };
-        if let Some(z) = on_grid(local.row_at(region, axes, row + 1), size[2]) {
-            for y in col_start..col_start + local.cols {
-                let at = z * stride[2] + y * stride[1] + x_start;
-                (0..local.layers).step_by(LINE).for_each(|i| prefetch(from.0, at + i));
-            }
-        }
-        let out = &mut out[row * pitch..];
-        // The upstream layer, and the upstream column with all its layers.
-        for c in 0..local.cols {
-            out[body + c] = halo_x.map_or(fill, |x| read(z * stride[2] + (col_start + c) * stride[1] + x, 1)[0]);
-        }
-        match halo_col {
-            None => (0..=local.layers).for_each(|l| out[l * plane + halo_slot] = fill),
-            Some(y) => {
-                let base = z * stride[2] + y * stride[1];
-                out[halo_slot] = halo_x.map_or(fill, |x| read(base + x, 1)[0]);
-                for (i, &v) in read(base + x_start, local.layers).iter().enumerate() {
-                    out[local.layer_of(axes, i) * plane + halo_slot] = v;
-                }
-            }
-        }
+        let base = layer * stride[axes.layer] + grid_row * stride[axes.row];
         if inside || row == 0 {
-            let base = z * stride[2] + col_start * stride[1] + x_start;
-            let to = &mut out[body..(local.layers) * plane + body + local.cols];
-            let first = local.layer_of(axes, 0) * plane;
-            let step = if axes.ascending { plane as isize } else { -(plane as isize) };
-            assert!(base + (local.cols - 1) * stride[1] + local.layers <= from.1);
-            // SAFETY: `to` holds layers 1..=layers of this row, `first` and `step` stay within; `from` was checked.
-            unsafe {
-                let to = to.as_mut_ptr().add(first);
-                transpose(from.0.add(base), stride[1] as isize, local.cols, local.layers, to, step);
-            }
+            // SAFETY: σ, which nobody writes, or ρ of earlier fronts, which nobody writes now.
+            let row = unsafe { from.row(base + region.start[axes.col], local.cols) };
+            out[local.body..local.body + local.cols].copy_from_slice(row);
         }
+        out[local.halo] = local.col_before.map_or(fill, |c| from.get(base + c));
     }
 }
 
-/// The equation itself, over a gathered brick.
+/// Writes a swept layer back; returns the largest change on the brick's downstream faces if `compare`, else 0: all of the last
+/// layer, the last row, the last column.
 #[inline(always)]
-fn march_layers(axes: &Axes, length: f32, local: &Local, outside: bool, s: &[f32], r: &mut [f32]) {
-    let (pitch, plane, cols) = (local.pitch(), local.plane(), local.cols);
-    let weights = weights(axes);
-    let here = usize::from(local.col_forward);
-    let up = 1 - here;
-    let half = -0.5 * length;
-    for l in 1..=local.layers {
-        let (done, rest) = r.split_at_mut(l * plane);
-        let (before, s_before) = (&done[(l - 1) * plane..], &s[(l - 1) * plane..l * plane]);
-        let s_now = &s[l * plane..][..plane];
-        for row in 1..=local.rows {
-            let at = row * pitch;
-            let out = &mut rest[at + here..][..cols];
-            let sigma = &s_now[at + here..][..cols];
-            if outside && l == 1 {
-                first_line(sigma, half, out);
-                continue;
-            }
-            line(
-                [at + here, at + up, at - pitch + here, at - pitch + up].map(|i| &before[i..][..cols]),
-                [at + here, at + up, at - pitch + here, at - pitch + up].map(|i| &s_before[i..][..cols]),
-                sigma,
-                weights,
-                half,
-                out,
-            );
+#[allow(clippy::too_many_arguments)]
+fn scatter(
+    axes: &Axes,
+    size: [usize; 3],
+    region: &Region,
+    local: &Local,
+    layer: usize,
+    plane: &[f32],
+    rho: Shared,
+    compare: bool,
+    last: bool,
+) -> f32 {
+    let stride = [1, size[0], size[0] * size[1]];
+    let last_col = if local.halo == 0 { local.cols - 1 } else { 0 };
+    let mut change = 0.0f32;
+    for row in 1..=local.rows {
+        let Some(grid_row) = local.row_at(axes, size, region, row) else { continue };
+        let new = &plane[row * local.pitch + local.body..][..local.cols];
+        let base = layer * stride[axes.layer] + grid_row * stride[axes.row] + region.start[axes.col];
+        // SAFETY: voxels of this brick, which no other thread reads or writes during this front.
+        let old = unsafe { rho.row(base, local.cols) };
+        if compare && (last || row == local.rows) {
+            change = new.iter().zip(old.iter()).fold(change, |m, (n, o)| m.max((n - o).abs()));
+        } else if compare {
+            change = change.max((new[last_col] - old[last_col]).abs());
         }
+        old.copy_from_slice(new);
     }
+    change
 }
 
 /// One row of a layer. A function of its own, so that the compiler knows that nothing overlaps.
 #[inline(always)]
-fn line(rho: [&[f32]; 4], sigma_up: [&[f32]; 4], sigma: &[f32], w: [f32; 4], half: f32, out: &mut [f32]) {
+pub(super) fn line(rho: [&[f32]; 4], sigma_up: [&[f32]; 4], sigma: &[f32], w: [f32; 4], half: f32, out: &mut [f32]) {
     let n = out.len();
     let ([a, b, c, d], [sa, sb, sc, sd]) = (rho.map(|v| &v[..n]), sigma_up.map(|v| &v[..n]));
     let sigma = &sigma[..n];
@@ -452,73 +456,4 @@ fn line(rho: [&[f32]; 4], sigma_up: [&[f32]; 4], sigma: &[f32], w: [f32; 4], hal
         let sigma_foot = (w[0] * sa[i] + w[1] * sb[i]) + (w[2] * sc[i] + w[3] * sd[i]);
         out[i] = rho_foot * exp(half * (sigma_foot + sigma[i]));
     }
-}
-
-/// Writes a swept brick back; returns the largest change on its downstream faces.
-#[inline(always)]
-fn scatter(
-    axes: &Axes,
-    size: [usize; 3],
-    region: &Region,
-    local: &Local,
-    r: &[f32],
-    rho: Shared,
-    compare: bool,
-) -> f32 {
-    let stride = [1, size[0], size[0] * size[1]];
-    let (pitch, plane) = (local.pitch(), local.plane());
-    let body = usize::from(local.col_forward);
-    let last_col = if local.col_forward { local.cols - 1 } else { 0 };
-    let mut change = 0.0f32;
-    // SAFETY: the voxels of this brick, which no other thread reads or writes during this front.
-    let own = |at: usize, n: usize| unsafe {
-        debug_assert!(at + n <= rho.1);
-        std::slice::from_raw_parts_mut(rho.0.add(at), n)
-    };
-    if axes.col == 0 {
-        for l in 1..=local.layers {
-            let layer = local.layer_at(region, axes, l) as usize;
-            for row in 1..=local.rows {
-                let grid_row = local.row_at(region, axes, row) as usize;
-                let new = &r[l * plane + row * pitch + body..][..local.cols];
-                let base = layer * stride[axes.layer] + grid_row * stride[axes.row] + region.start[0];
-                let old = own(base, local.cols);
-                if l == local.layers || row == local.rows {
-                    change = new.iter().zip(old.iter()).fold(change, |m, (n, o)| m.max((n - o).abs()));
-                } else {
-                    change = change.max((new[last_col] - old[last_col]).abs());
-                }
-                old.copy_from_slice(new);
-            }
-        }
-        return change;
-    }
-    let (y_start, x_start) = (region.start[1], region.start[0]);
-    let last_x = if axes.ascending { local.layers - 1 } else { 0 };
-    for row in 1..=local.rows {
-        let z = local.row_at(region, axes, row) as usize;
-        let r = &r[row * pitch + body..];
-        if compare {
-            for c in 0..local.cols {
-                let old = own(z * stride[2] + (y_start + c) * stride[1] + x_start, local.layers);
-                if row == local.rows || c == last_col {
-                    for (i, o) in old.iter().enumerate() {
-                        change = change.max((r[local.layer_of(axes, i) * plane + c] - o).abs());
-                    }
-                } else {
-                    change = change.max((r[local.layers * plane + c] - old[last_x]).abs());
-                }
-            }
-        }
-        let base = z * stride[2] + y_start * stride[1] + x_start;
-        let step = if axes.ascending { plane as isize } else { -(plane as isize) };
-        assert!(base + (local.cols - 1) * stride[1] + local.layers <= rho.1);
-        let from = &r[..local.layers * plane + local.cols];
-        // SAFETY: `from` holds all layers of this row; the rows written are this brick's own, as `own` says.
-        unsafe {
-            let from = from.as_ptr().add(local.layer_of(axes, 0) * plane);
-            transpose(from, step, local.layers, local.cols, rho.0.add(base), stride[1] as isize);
-        }
-    }
-    change
 }
