@@ -12,10 +12,17 @@ mod choose;
 mod coords;
 mod expand;
 mod h5;
+mod headed;
+mod mhd;
+mod nrrd;
 mod raw;
 mod series;
 mod statistics;
 mod values;
+mod vti;
+mod vtk;
+mod xdmf;
+mod xml;
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -131,16 +138,36 @@ pub fn open(spec: &SourceSpec) -> Result<Box<dyn Series>> {
     let files = expand::expand(&spec.series)?;
     let plan = match spec.raw.as_deref() {
         Some(text) => raw::plan(&files, text, spec)?,
-        None => match detect(&files)? {
-            FileKind::Hdf5 => h5::plan(&files, spec)?,
-        },
+        None => plan(&files, spec)?,
     };
     Ok(Box::new(series::Planned::new(plan, spec)?))
+}
+
+/// Asks the layout that the files have for a plan.
+fn plan(files: &expand::Files, spec: &SourceSpec) -> Result<series::Plan> {
+    match detect(files)? {
+        FileKind::Hdf5 => h5::plan(files, spec),
+        FileKind::Nrrd => headed::plan(files, spec, "NRRD", nrrd::read),
+        FileKind::MetaImage => headed::plan(files, spec, "MetaImage", mhd::read),
+        FileKind::Vtk => headed::plan(files, spec, "VTK legacy", vtk::read),
+        FileKind::Vti => headed::plan(files, spec, "VTK XML ImageData", vti::read),
+        FileKind::Pvd => {
+            let listed = vti::collection(&files.entries[0].path)?;
+            plan(&expand::Files { dataset: files.dataset.clone(), ..listed }, spec)
+        }
+        FileKind::Xdmf => xdmf::plan(files, spec),
+    }
 }
 
 /// Kinds of file, by their first bytes.
 enum FileKind {
     Hdf5,
+    Nrrd,
+    MetaImage,
+    Vtk,
+    Vti,
+    Pvd,
+    Xdmf,
 }
 
 /// The kind of the first file that has one.
@@ -170,7 +197,22 @@ fn kind_of(path: &Path) -> Result<FileKind> {
         }
     }
     let mut start = Vec::new();
-    file.seek(SeekFrom::Start(0)).and_then(|_| file.take(8).read_to_end(&mut start)).map_err(|e| Error::io(path, e))?;
+    file.seek(SeekFrom::Start(0))
+        .and_then(|_| file.take(4096).read_to_end(&mut start))
+        .map_err(|e| Error::io(path, e))?;
+    let text = String::from_utf8_lossy(&start);
+    let has = |mark: &str| text.contains(mark);
+    match () {
+        _ if text.starts_with("NRRD000") => return Ok(FileKind::Nrrd),
+        _ if text.starts_with("# vtk DataFile") => return Ok(FileKind::Vtk),
+        _ if has("ObjectType") && has("DimSize") || has("NDims") && has("ElementType") => {
+            return Ok(FileKind::MetaImage);
+        }
+        _ if has("<VTKFile") && has("Collection") => return Ok(FileKind::Pvd),
+        _ if has("<VTKFile") => return Ok(FileKind::Vti),
+        _ if has("<Xdmf") => return Ok(FileKind::Xdmf),
+        _ => {}
+    }
     if start.starts_with(b"CDF") {
         let remedy = "nccopy -k nc4 IN.nc OUT.nc";
         return Err(Error::format(path, "netCDF in its classic format, which is not read", remedy));

@@ -7,7 +7,7 @@ use crate::field::Timestep;
 use crate::grid::Grid;
 
 /// A step that has been found but not opened.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) struct Step {
     pub step: u64,
     pub time: Option<f64>,
@@ -17,7 +17,6 @@ pub(crate) struct Step {
 }
 
 /// What a layout made of the files: everything but the steps in `info`, and the steps.
-#[derive(Debug)]
 pub(crate) struct Plan {
     pub info: SeriesInfo,
     pub steps: Vec<Step>,

@@ -1,14 +1,15 @@
 //! What a step's values are made of: stored arrays, and the few ways in which several make one field.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::{h5, raw};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::Region;
 
 /// The values of a step that has been found but not opened.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) enum Values {
     /// Part of an HDF5 dataset.
     Hdf5(h5::Slab),
@@ -20,6 +21,10 @@ pub(crate) enum Values {
     Blocks(Vec<(Region, Values)>),
     /// The same value everywhere.
     Constant(f64),
+    /// Each value repeated along x, y, z: a coarse block on a fine grid.
+    Repeated(Box<Values>, [usize; 3]),
+    /// A step whose file could not be placed: what was found, and what would help.
+    Broken(PathBuf, String, String),
 }
 
 impl Values {
@@ -41,6 +46,11 @@ impl Values {
                 Arc::new(Blocks(blocks.iter().map(open).collect::<Result<_>>()?))
             }
             Values::Constant(value) => Arc::new(Constant(*value)),
+            Values::Repeated(values, times) => {
+                let coarse = std::array::from_fn(|a| size[a].div_ceil(times[a]));
+                Arc::new(Repeated { coarse: values.open(coarse, opened)?, times: *times })
+            }
+            Values::Broken(path, found, remedy) => return Err(Error::format(path, found, remedy)),
         })
     }
 }
@@ -125,5 +135,44 @@ impl Field for Blocks {
 
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
         self.gather(region, out, f64::NAN, |f, r, o| f.read_f64(r, o))
+    }
+}
+
+/// Piecewise constant: value (i, j, k) is the coarse one at (i, j, k) / times.
+struct Repeated {
+    coarse: Arc<dyn Field>,
+    times: [usize; 3],
+}
+
+impl Repeated {
+    fn spread<T: Copy>(
+        &self,
+        region: Region,
+        out: &mut [T],
+        hole: T,
+        read: impl Fn(&dyn Field, Region, &mut [T]) -> Result<()>,
+    ) -> Result<()> {
+        let start: [usize; 3] = std::array::from_fn(|a| region.start[a] / self.times[a]);
+        let size = std::array::from_fn(|a| (region.end()[a] - 1) / self.times[a] + 1 - start[a]);
+        let under = Region { start, size };
+        let mut coarse = vec![hole; under.len()];
+        read(self.coarse.as_ref(), under, &mut coarse)?;
+        let at = |i: usize, a: usize| (region.start[a] + i) / self.times[a] - start[a];
+        for (row, out) in out.chunks_exact_mut(region.size[0]).enumerate() {
+            let (j, k) = (at(row % region.size[1], 1), at(row / region.size[1], 2));
+            let from = (k * size[1] + j) * size[0];
+            out.iter_mut().enumerate().for_each(|(i, o)| *o = coarse[from + at(i, 0)]);
+        }
+        Ok(())
+    }
+}
+
+impl Field for Repeated {
+    fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
+        self.spread(region, out, f32::NAN, |f, r, o| f.read(r, o))
+    }
+
+    fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
+        self.spread(region, out, f64::NAN, |f, r, o| f.read_f64(r, o))
     }
 }

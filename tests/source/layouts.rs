@@ -189,3 +189,135 @@ fn netcdf_packing_fills_axes_and_uneven_levels() {
     assert!(second[59].is_nan(), "1023 lies above the valid range");
     assert_eq!(second[(4 + 2) * 5], 0.5 * 1012.0 + 3.0);
 }
+
+#[test]
+fn meep_files_run_x_slowest_and_name_their_times() {
+    let folder = tempfile::tempdir().unwrap();
+    for (n, time) in ["000002.50", "000010.00"].iter().enumerate() {
+        let (_, file) = create(&folder, &format!("ez-{time}.h5"));
+        write(
+            &file,
+            "ez",
+            &array("txyz", n + 1, 1).index_axis_move(ndarray::Axis(0), n).as_standard_layout().to_owned(),
+        );
+    }
+    let series = open(&spec(folder.path())).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.grid.size), ("Meep", [5, 4, 3]));
+    assert_eq!(info.steps.iter().map(|s| (s.step, s.time.unwrap())).collect::<Vec<_>>(), [(0, 2.5), (1, 10.0)]);
+    assert_eq!(all(series.as_ref(), 1), volume(1).as_slice().unwrap());
+}
+
+#[test]
+fn cholla_cells_and_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = |name: &str, local: [f64; 3]| {
+        let (path, file) = create(&folder, name);
+        for (name, values) in [("bounds", [-1.0, 0.0, 1.0]), ("domain", [5.0, 8.0, 12.0]), ("dims", [5.0, 4.0, 3.0])] {
+            attribute(&file, name, &values);
+        }
+        attribute(&file, "dims_local", &local);
+        attribute(&file, "t", &[0.75]);
+        write(&file, "density", &array("xyz", 1, 1));
+        path
+    };
+    let series = open(&spec(made("7.h5", [5.0, 4.0, 3.0]))).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.steps[0].time), ("Cholla", Some(0.75)));
+    assert_eq!((info.grid.spacing, info.grid.origin), ([1.0, 2.0, 4.0], [-0.5, 1.0, 3.0]));
+    assert_eq!(all(series.as_ref(), 0), volume(0).as_slice().unwrap());
+    says(&complaint(&spec(made("part.h5", [5.0, 2.0, 3.0])), None), &["one process's part", "cat_dset_3D.py"]);
+}
+
+#[test]
+fn dedalus_tasks_take_times_numbers_and_grids_from_scales() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, file) = create(&folder, "s1.h5");
+    let scales = file.create_group("scales").unwrap();
+    write(&scales, "sim_time", &Array::from_vec(vec![0.0, 0.5]).into_dyn());
+    write(&scales, "iteration", &Array::from_vec(vec![0, 40]).into_dyn());
+    for (name, n, step) in [("x_hash_1", 5, 0.5), ("y_hash_2", 4, 1.0), ("z_hash_3", 3, 2.0)] {
+        write(&scales, name, &ArrayD::from_shape_fn(IxDyn(&[n]), |i| 1.0 + step * i[0] as f64));
+    }
+    let tasks = file.create_group("tasks").unwrap();
+    let q = write(&tasks, "q", &array("txyz", 2, 1));
+    let names = ["sim_time", "x_hash_1", "y_hash_2", "z_hash_3"].map(|n| format!("/scales/{n}"));
+    along(&file, &q, &names.each_ref().map(String::as_str));
+    drop((q, tasks, scales, file));
+    let series = open(&spec(path)).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.field.as_str()), ("Dedalus", "tasks/q"));
+    assert_eq!(info.steps.iter().map(|s| (s.step, s.time.unwrap())).collect::<Vec<_>>(), [(0, 0.0), (40, 0.5)]);
+    assert_eq!((info.grid.spacing, info.grid.origin), ([0.5, 1.0, 2.0], [1.0; 3]));
+    assert_eq!(all(series.as_ref(), 1), volume(1).as_slice().unwrap());
+}
+
+/// Athena++ output on a root mesh of 4×4×2 in blocks of 2×2×2, block 0 refined when `finest` is 1.
+fn athena(path: &std::path::Path, finest: u32) {
+    let file = File::create(path).unwrap();
+    let whole = |name: &str, values: &[i32]| {
+        file.new_attr::<i32>().shape([values.len()]).create(name).unwrap().write(values).unwrap();
+    };
+    let levels: Vec<i32> = if finest == 0 { vec![0; 4] } else { [vec![0; 3], vec![1; 8]].concat() };
+    whole("NumMeshBlocks", &[levels.len() as i32]);
+    whole("MaxLevel", &[finest as i32]);
+    whole("RootGridSize", &[4, 4, 2]);
+    whole("MeshBlockSize", &[2, 2, 2]);
+    whole("NumVariables", &[2]);
+    texts_attribute(&file, "DatasetNames", &["prim"]);
+    texts_attribute(&file, "VariableNames", &["rho", "press"]);
+    attribute(&file, "Time", &[1.25]);
+    for (n, bounds) in [[0.0, 4.0, 1.0], [0.0, 8.0, 1.0], [-1.0, 1.0, 1.0]].iter().enumerate() {
+        attribute(&file, &format!("RootGridX{}", n + 1), bounds);
+    }
+    let mut places: Vec<[i64; 3]> = vec![[1, 0, 0], [0, 1, 0], [1, 1, 0]];
+    match finest {
+        0 => places.insert(0, [0, 0, 0]),
+        _ => places.extend((0..8).map(|n| [n & 1, n >> 1 & 1, n >> 2])),
+    }
+    let flat: Vec<i64> = places.iter().flatten().copied().collect();
+    write(&file, "LogicalLocations", &Array::from_shape_vec((places.len(), 3), flat).unwrap().into_dyn());
+    write(&file, "Levels", &Array::from_vec(levels.clone()).into_dyn());
+    // A value tells the place of its cell's lower corner in cells of its own level, and its level.
+    let values = ArrayD::from_shape_fn(IxDyn(&[2, levels.len(), 2, 2, 2]), |i| {
+        let at = |a: usize| 2 * places[i[1]][a] as usize + i[4 - a];
+        (at(0) + 10 * at(1) + 100 * at(2) + 1000 * levels[i[1]] as usize + 10_000 * i[0]) as f32
+    });
+    write(&file, "prim", &values);
+}
+
+#[test]
+fn athena_blocks_are_put_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.athdf");
+    athena(&path, 0);
+    let asked = SourceSpec { field: Some("press".into()), ..spec(&path) };
+    let series = open(&asked).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.grid.size, info.steps[0].time), ("Athena++", [4, 4, 2], Some(1.25)));
+    assert_eq!((info.grid.spacing, info.grid.origin), ([1.0, 2.0, 1.0], [0.5, 1.0, -0.5]));
+    let wanted: Vec<f64> = (0..32).map(|n| (n % 4 + 10 * (n / 4 % 4) + 100 * (n / 16) + 10_000) as f64).collect();
+    assert_eq!(all(series.as_ref(), 0), wanted);
+    says(&complaint(&spec(&path), None), &["rho", "press", "--field"]);
+}
+
+#[test]
+fn athena_refined_blocks_are_brought_to_the_finest_level() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.athdf");
+    athena(&path, 1);
+    let series = open(&SourceSpec { field: Some("rho".into()), ..spec(&path) }).unwrap();
+    assert_eq!(series.info().grid.size, [8, 8, 4]);
+    says(&series.info().warnings.join("\n"), &["2 levels", "8×8×4"]);
+    let values = all(series.as_ref(), 0);
+    let at = |x: usize, y: usize, z: usize| values[(z * 8 + y) * 8 + x];
+    // Cells of the refined corner, then coarse ones, each eight times.
+    assert_eq!([at(0, 0, 0), at(3, 2, 1)], [1000.0, 1123.0]);
+    assert_eq!([at(4, 0, 0), at(5, 1, 1), at(6, 7, 3)], [2.0, 2.0, 133.0]);
+    let step = series.timestep(0).unwrap();
+    let region = gloaming::grid::Region { start: [3, 1, 1], size: [4, 5, 2] };
+    let mut part = vec![0.0; region.len()];
+    step.field.read_f64(region, &mut part).unwrap();
+    let wanted = (0..40).map(|n| at(3 + n % 4, 1 + n / 4 % 5, 1 + n / 20));
+    assert_eq!(part, wanted.collect::<Vec<_>>());
+}

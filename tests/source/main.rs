@@ -1,6 +1,7 @@
 //! Series from files: figures against known numbers, layouts, and files as they come from outside.
 
 mod generic;
+mod headed;
 mod known;
 mod layouts;
 mod malformed;

@@ -6,6 +6,7 @@ use hdf5::{File, Location};
 
 use super::Input;
 use super::attributes::{first, first_text, number, numbers_in, outwards};
+use super::conventions::Convention;
 use super::slab::{Packing, Slab};
 use super::tree::{Found, Tree, type_name, walk};
 use crate::error::{Error, Result};
@@ -21,7 +22,7 @@ const TIMES: [&str; 10] =
     ["time", "Time", "t", "TIME", "times", "Times", "sim_time", "simulation_time", "current_time", "InitialTime"];
 
 /// Finds the field and its steps.
-pub(crate) fn plan(input: Input) -> Result<Plan> {
+pub(crate) fn plan(input: Input, convention: &Convention) -> Result<Plan> {
     let Input { files, spec, file, entry: first_entry, mut warnings } = input;
     let tree = walk(&file);
     let asked = super::asked(files, spec);
@@ -30,6 +31,7 @@ pub(crate) fn plan(input: Input) -> Result<Plan> {
     let places = outwards(&file, &found.members[0].1);
     let many = files.entries.len() > 1 || found.members.len() > 1;
     let stated = first_text(&places[..1], &["axes", "AXES", "axis_order", "dimension_order", "DIMENSION_LABELS"]);
+    let stated = stated.or_else(|| (convention.axes)(found.shape.len()).map(String::from));
     let times = time_lists(&file, &found.members[0].1);
     let time_lengths: Vec<usize> = times.iter().map(Vec::len).filter(|&n| n > 0).collect();
     let evidence = Evidence {
@@ -42,7 +44,7 @@ pub(crate) fn plan(input: Input) -> Result<Plan> {
         many,
     };
     let axes = place(&evidence, &mut warnings)?;
-    let grid = grid(&file, &found, &axes, &mut warnings);
+    let grid = grid(&file, &found, &axes, convention, &mut warnings);
     let parts = component(&name, axes.component.map(|c| found.shape[c]), spec.component.as_deref())?;
     let layout = match (axes.time.is_some(), found.members.len() > 1, files.entries.len() > 1) {
         (true, _, false) if found.members.len() == 1 => "hdf5 4-D dataset",
@@ -63,11 +65,12 @@ pub(crate) fn plan(input: Input) -> Result<Plan> {
     let mut steps = Vec::new();
     for entry in &files.entries {
         let own = super::reopen(entry, first_entry, &file, &mut warnings);
-        let source = Source { entry, file: own.as_ref(), found: &found, axes: &axes, parts: &parts };
+        let file = own.as_ref();
+        let source = Source { entry, file, found: &found, axes: &axes, parts: &parts, convention };
         source.steps(files.entries.len() > 1, &mut steps);
     }
     let info = SeriesInfo {
-        layout: layout.into(),
+        layout: if convention.name.is_empty() { layout.into() } else { convention.name.into() },
         series: files.entries.iter().map(|e| e.path.clone()).collect(),
         field: found.name.clone(),
         candidates: tree.volumes.iter().map(candidate).collect(),
@@ -140,6 +143,7 @@ struct Source<'a> {
     found: &'a Found,
     axes: &'a Axes,
     parts: &'a [Option<usize>],
+    convention: &'a Convention,
 }
 
 impl Source<'_> {
@@ -155,9 +159,11 @@ impl Source<'_> {
             // Numbers of groups say nothing about the order of files: several steps in each of several files are
             // numbered through.
             let several = members.len() > 1 || count.is_some_and(|n| n > 1);
+            let told = self.listed(self.convention.numbers).filter(|l| l.len() == count.unwrap_or(1));
             for index in 0..count.unwrap_or(1) {
                 let next = steps.len() as u64;
                 let step = match (several_files, several) {
+                    _ if told.is_some() => told.as_ref().map_or(next, |l| l[index] as u64),
                     (true, true) => next,
                     (true, false) => self.entry.number.unwrap_or(next),
                     (false, _) if count.is_some() && members.len() == 1 => index as u64,
@@ -188,7 +194,12 @@ impl Source<'_> {
 
     fn own_grid(&self, file: &File, dataset: &str, size: [usize; 3]) -> GridInfo {
         let here = Found { members: vec![(None, dataset.to_owned())], ..self.found.clone() };
-        GridInfo { size, ..grid(file, &here, self.axes, &mut Vec::new()) }
+        GridInfo { size, ..grid(file, &here, self.axes, self.convention, &mut Vec::new()) }
+    }
+
+    /// Numbers in a dataset that the convention names.
+    fn listed(&self, dataset: &str) -> Option<Vec<f64>> {
+        if dataset.is_empty() { None } else { numbers_in(&*self.file?.dataset(dataset).ok()?) }
     }
 
     /// Times of a member: `along` values where it has a time axis, else one.
@@ -197,6 +208,9 @@ impl Source<'_> {
         let places = outwards(file, dataset);
         let lists = time_lists(file, dataset);
         let wanted = along.unwrap_or(1);
+        if let Some(told) = self.listed(self.convention.times).filter(|l| l.len() == wanted) {
+            return told;
+        }
         if let Some(list) =
             lists.iter().find(|l| l.len() == wanted && (along.is_some() || self.found.members.len() == 1))
         {
@@ -233,9 +247,12 @@ fn time_lists(file: &File, dataset: &str) -> Vec<Vec<f64>> {
 }
 
 /// Size from the shape; spacing and origin from attributes in x, y, z order, or from 1-D arrays x, y, z.
-fn grid(file: &File, found: &Found, axes: &Axes, warnings: &mut Vec<String>) -> GridInfo {
+fn grid(file: &File, found: &Found, axes: &Axes, convention: &Convention, warnings: &mut Vec<String>) -> GridInfo {
     let places = outwards(file, &found.members[0].1);
     let size = if axes.rank() == found.shape.len() { axes.size(&found.shape) } else { [0; 3] };
+    if let Some(told) = (convention.grid)(file, &found.members[0].1, axes, size) {
+        return told;
+    }
     let each = |names: [&str; 3]| -> Option<Vec<f64>> {
         names.iter().map(|n| first(&places, &[n], 1).map(|v| v[0])).collect()
     };

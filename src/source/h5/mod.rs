@@ -3,7 +3,9 @@
 //! A layout is one file here and one arm in [`plan`]: it turns what is in the files into steps, each of which names
 //! its place in them.
 
+mod athena;
 mod attributes;
+mod conventions;
 mod generic;
 mod netcdf;
 mod openpmd;
@@ -76,13 +78,19 @@ fn reopen(entry: &Entry, first: &Entry, file: &File, warnings: &mut Vec<String>)
 pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
     let input = Input::new(files, spec)?;
     let layout = match layout(&input.file) {
-        Layout::Generic => return generic::plan(input),
+        Layout::Generic => {
+            let convention = conventions::of(&input.file, input.entry)?.unwrap_or(&conventions::NONE);
+            return generic::plan(input, convention);
+        }
+        Layout::Athena => athena::plan(input),
         Layout::Vtkhdf => vtkhdf::plan(input),
         Layout::OpenPmd => openpmd::plan(input),
         Layout::Netcdf => netcdf::plan(input),
     };
     match layout {
-        Err(why) if files.dataset.is_some() => generic::plan(Input::new(files, spec)?).map_err(|_| why),
+        Err(why) if files.dataset.is_some() => {
+            generic::plan(Input::new(files, spec)?, &conventions::NONE).map_err(|_| why)
+        }
         other => other,
     }
 }
@@ -90,6 +98,7 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
 /// Layouts of HDF5 files.
 enum Layout {
     Generic,
+    Athena,
     Vtkhdf,
     OpenPmd,
     Netcdf,
@@ -102,6 +111,8 @@ fn layout(file: &File) -> Layout {
         Layout::Vtkhdf
     } else if marked("openPMD") && marked("basePath") {
         Layout::OpenPmd
+    } else if marked("NumMeshBlocks") && marked("RootGridSize") {
+        Layout::Athena
     } else if marked("_NCProperties") || netcdf::has_scales(file) {
         Layout::Netcdf
     } else {

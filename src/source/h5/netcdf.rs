@@ -16,12 +16,12 @@ use crate::source::values::Values;
 use crate::source::{Candidate, GridInfo, SeriesInfo};
 
 /// A dimension of a variable: its name, and its coordinates where it has any.
-struct Scale {
+pub(crate) struct Scale {
     name: String,
     units: String,
     axis: String,
     standard_name: String,
-    values: Option<Vec<f64>>,
+    pub values: Option<Vec<f64>>,
 }
 
 /// Whether some dataset at the root is a dimension scale.
@@ -164,7 +164,7 @@ fn spelled(scales: &[Scale]) -> Option<String> {
 }
 
 /// The scales of a variable's axes: from `DIMENSION_LIST`, else by dimension scales of the same length.
-fn scales(file: &File, dataset: &Dataset) -> Vec<Scale> {
+pub(crate) fn scales(file: &File, dataset: &Dataset) -> Vec<Scale> {
     let listed = || -> Option<Vec<Scale>> {
         let lists = dataset.attr("DIMENSION_LIST").ok()?.read_raw::<VarLenArray<ObjectReference1>>().ok()?;
         let scale = |list: &VarLenArray<ObjectReference1>| match file.dereference(list.first()?).ok()? {
