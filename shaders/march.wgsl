@@ -2,6 +2,8 @@
 // intervals of `step` from where it enters the box, sampled in the middle of each; α = 1 − e^(−σ_t ds).
 // field, table, majorant, terms, light0…7 → pixels
 //
+// Each term has a light buffer of its own, except that the eighth and all further ones share the last.
+//
 // Positions are in values of the data grid: value (i, j, k) sits at (i, j, k), the box reaches half a value beyond.
 
 struct Params {
@@ -19,19 +21,21 @@ struct Params {
     up: vec3<f32>,
     entries: u32,
     per_world: vec3<f32>,
-    terms: u32,
-    picture: vec2<u32>,
-    // Whether `majorant` is there, and whether to shade.
-    skip: u32,
-    shade: u32,
+    // Mean spacing.
+    spacing: f32,
     towards_light: vec3<f32>,
     ambient: f32,
     diffuse: f32,
     specular: f32,
     shininess: f32,
-    // Mean spacing.
-    spacing: f32,
+    picture: vec2<u32>,
 }
+
+// Number of terms; whether `majorant` is there; whether to shade; whether anything glows.
+override TERMS: u32 = 8u;
+override SKIP: bool = true;
+override SHADE: bool = true;
+override GLOW: bool = true;
 
 // Single-scattering properties of a table entry.
 struct Optics {
@@ -46,15 +50,12 @@ const CURRENT: u32 = 2u;
 
 struct Term {
     size: vec3<u32>,
-    // Which light buffer, and where in it.
-    slot: u32,
-    weight: vec3<f32>,
+    // First value in its light buffer.
     first: u32,
+    weight: vec3<f32>,
+    kind: u32,
     direction: vec3<f32>,
     g: f32,
-    kind: u32,
-    // 1 where the term before has the same size.
-    same_grid: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -104,46 +105,109 @@ fn data(position: vec3<f32>) -> f32 {
         + dot(vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]), c.high_weight);
 }
 
-fn light(slot: u32, first: u32, c: Cell) -> f32 {
-    let a = c.low + first;
-    let b = c.high + first;
-    var low: vec4<f32>;
-    var high: vec4<f32>;
-    switch slot {
-        case 0u: {
-            low = vec4(light0[a.x], light0[a.y], light0[a.z], light0[a.w]);
-            high = vec4(light0[b.x], light0[b.y], light0[b.z], light0[b.w]);
-        }
-        case 1u: {
-            low = vec4(light1[a.x], light1[a.y], light1[a.z], light1[a.w]);
-            high = vec4(light1[b.x], light1[b.y], light1[b.z], light1[b.w]);
-        }
-        case 2u: {
-            low = vec4(light2[a.x], light2[a.y], light2[a.z], light2[a.w]);
-            high = vec4(light2[b.x], light2[b.y], light2[b.z], light2[b.w]);
-        }
-        case 3u: {
-            low = vec4(light3[a.x], light3[a.y], light3[a.z], light3[a.w]);
-            high = vec4(light3[b.x], light3[b.y], light3[b.z], light3[b.w]);
-        }
-        case 4u: {
-            low = vec4(light4[a.x], light4[a.y], light4[a.z], light4[a.w]);
-            high = vec4(light4[b.x], light4[b.y], light4[b.z], light4[b.w]);
-        }
-        case 5u: {
-            low = vec4(light5[a.x], light5[a.y], light5[a.z], light5[a.w]);
-            high = vec4(light5[b.x], light5[b.y], light5[b.z], light5[b.w]);
-        }
-        case 6u: {
-            low = vec4(light6[a.x], light6[a.y], light6[a.z], light6[a.w]);
-            high = vec4(light6[b.x], light6[b.y], light6[b.z], light6[b.w]);
-        }
-        default: {
-            low = vec4(light7[a.x], light7[a.y], light7[a.z], light7[a.w]);
-            high = vec4(light7[b.x], light7[b.y], light7[b.z], light7[b.w]);
-        }
+fn light0_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light0[a.x], light0[a.y], light0[a.z], light0[a.w]), c.low_weight)
+        + dot(vec4(light0[b.x], light0[b.y], light0[b.z], light0[b.w]), c.high_weight);
+}
+
+fn light1_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light1[a.x], light1[a.y], light1[a.z], light1[a.w]), c.low_weight)
+        + dot(vec4(light1[b.x], light1[b.y], light1[b.z], light1[b.w]), c.high_weight);
+}
+
+fn light2_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light2[a.x], light2[a.y], light2[a.z], light2[a.w]), c.low_weight)
+        + dot(vec4(light2[b.x], light2[b.y], light2[b.z], light2[b.w]), c.high_weight);
+}
+
+fn light3_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light3[a.x], light3[a.y], light3[a.z], light3[a.w]), c.low_weight)
+        + dot(vec4(light3[b.x], light3[b.y], light3[b.z], light3[b.w]), c.high_weight);
+}
+
+fn light4_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light4[a.x], light4[a.y], light4[a.z], light4[a.w]), c.low_weight)
+        + dot(vec4(light4[b.x], light4[b.y], light4[b.z], light4[b.w]), c.high_weight);
+}
+
+fn light5_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light5[a.x], light5[a.y], light5[a.z], light5[a.w]), c.low_weight)
+        + dot(vec4(light5[b.x], light5[b.y], light5[b.z], light5[b.w]), c.high_weight);
+}
+
+fn light6_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light6[a.x], light6[a.y], light6[a.z], light6[a.w]), c.low_weight)
+        + dot(vec4(light6[b.x], light6[b.y], light6[b.z], light6[b.w]), c.high_weight);
+}
+
+fn light7_at(c: Cell) -> f32 {
+    let a = c.low;
+    let b = c.high;
+    return dot(vec4(light7[a.x], light7[a.y], light7[a.z], light7[a.w]), c.low_weight)
+        + dot(vec4(light7[b.x], light7[b.y], light7[b.z], light7[b.w]), c.high_weight);
+}
+
+var<private> weights: array<vec3<f32>, MAX_TERMS>;
+
+// The cell of a term at a position on the data grid; that of the term before where both have the same grid.
+fn term_cell(t: u32, x: vec3<f32>, before: Cell) -> Cell {
+    let size = terms[t].size;
+    if t > 0u && all(size == terms[t - 1u].size) { return before; }
+    return cell(size, (x + 0.5) * vec3<f32>(size) / vec3<f32>(params.size) - 0.5);
+}
+
+// Σ weight·value of all terms, at least 0.
+fn in_scatter(x: vec3<f32>) -> vec3<f32> {
+    var sum = vec3(0.0);
+    var c: Cell;
+    if TERMS > 0u {
+        c = term_cell(0u, x, c);
+        sum += weights[0] * light0_at(c);
     }
-    return dot(low, c.low_weight) + dot(high, c.high_weight);
+    if TERMS > 1u {
+        c = term_cell(1u, x, c);
+        sum += weights[1] * light1_at(c);
+    }
+    if TERMS > 2u {
+        c = term_cell(2u, x, c);
+        sum += weights[2] * light2_at(c);
+    }
+    if TERMS > 3u {
+        c = term_cell(3u, x, c);
+        sum += weights[3] * light3_at(c);
+    }
+    if TERMS > 4u {
+        c = term_cell(4u, x, c);
+        sum += weights[4] * light4_at(c);
+    }
+    if TERMS > 5u {
+        c = term_cell(5u, x, c);
+        sum += weights[5] * light5_at(c);
+    }
+    if TERMS > 6u {
+        c = term_cell(6u, x, c);
+        sum += weights[6] * light6_at(c);
+    }
+    for (var t = 7u; t < TERMS; t++) {
+        c = term_cell(t, x, c);
+        let first = terms[t].first;
+        sum += weights[t] * light7_at(Cell(c.low + first, c.high + first, c.low_weight, c.high_weight));
+    }
+    return max(sum, vec3(0.0));
 }
 
 // What one unit of a term's value contributes along a ray; `to_eye` is the way to the eye.
@@ -179,14 +243,12 @@ fn shading(x: vec3<f32>, sigma: f32, to_eye: vec3<f32>) -> f32 {
     return 1.0 + gate * (shade - 1.0);
 }
 
-var<private> weights: array<vec3<f32>, MAX_TERMS>;
-
 @compute @workgroup_size(8, 8)
 fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.picture) { return; }
     let at = (2.0 * vec2<f32>(id.xy) + 1.0) / vec2<f32>(params.picture) - 1.0;
     let ray = normalize(params.forward + at.x * params.right - at.y * params.up);
-    for (var t = 0u; t < params.terms; t++) { weights[t] = term_weight(terms[t], -ray); }
+    for (var t = 0u; t < TERMS; t++) { weights[t] = term_weight(terms[t], -ray); }
 
     // Where the ray meets the box. WGSL promises nothing about division by 0: a component of 0 is made tiny.
     let along = ray * params.per_world;
@@ -213,7 +275,7 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         let begin = f32(n) * params.step;
         let end = min(begin + params.step, reach);
         let x = entered + 0.5 * (begin + end) * along;
-        if params.skip != 0u {
+        if SKIP {
             let nearest = clamp(x + 0.5, vec3(0.0), vec3<f32>(params.size - 1u));
             let b = vec3<u32>(nearest) / params.edge;
             if majorant[index(bricks, b)] == 0.0 {
@@ -233,22 +295,13 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         let high = table[e.below + 1u];
         let sigma = mix(low.extinction, high.extinction, e.fraction);
         let albedo = mix(low.albedo, high.albedo, e.fraction);
-        let emission = mix(low.emission, high.emission, e.fraction);
         let ds = end - begin;
         let alpha = 1.0 - exp(-sigma * ds);
-        var added = emission * select(ds, alpha / sigma, sigma > 0.0);
-        if alpha > 0.0 {
-            var scattered = vec3(0.0);
-            var c: Cell;
-            for (var t = 0u; t < params.terms; t++) {
-                let size = terms[t].size;
-                if terms[t].same_grid == 0u {
-                    c = cell(size, (x + 0.5) * vec3<f32>(size) / vec3<f32>(params.size) - 0.5);
-                }
-                scattered += weights[t] * light(terms[t].slot, terms[t].first, c);
-            }
-            scattered = max(scattered, vec3(0.0));
-            if params.shade != 0u { scattered *= shading(x, sigma, -ray); }
+        var added = vec3(0.0);
+        if GLOW { added = mix(low.emission, high.emission, e.fraction) * select(ds, alpha / sigma, sigma > 0.0); }
+        if alpha > 0.0 && TERMS > 0u {
+            var scattered = in_scatter(x);
+            if SHADE { scattered *= shading(x, sigma, -ray); }
             added += alpha * albedo * scattered;
         }
         radiance += transmittance * added;

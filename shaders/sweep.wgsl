@@ -32,42 +32,40 @@ struct Dispatch {
 @group(0) @binding(4) var<storage, read_write> changes: array<atomic<u32>>;
 var<immediate> front: Dispatch;
 
-fn inside(q: vec3<i32>) -> bool {
-    return all(q.xy >= vec2(0)) && all(q.xy < vec2<i32>(params.size.xy));
-}
-
-fn at(q: vec3<i32>) -> u32 {
-    let p = vec3<u32>(q) * params.stride;
+fn at(q: vec3<u32>) -> u32 {
+    let p = q * params.stride;
     return p.x + p.y + p.z;
 }
 
-fn sigma_at(q: vec3<i32>) -> f32 {
-    if inside(q) { return sigma[at(q)]; }
-    return 0.0;
+// The four values round a foot in the layer before: straight upstream, one over along b, along c, along both.
+struct Foot {
+    at: vec4<u32>,
+    inside: vec4<bool>,
 }
 
-fn rho_at(q: vec3<i32>) -> f32 {
-    if inside(q) { return rho[at(q)]; }
-    return 1.0;
+fn foot(q: vec3<u32>) -> Foot {
+    let move_by = params.travel * vec3<i32>(params.stride);
+    let straight = i32(at(q)) - move_by.z;
+    // An index below 0 wraps round and is outside too.
+    let beside = vec2<u32>(vec2<i32>(q.xy) - params.travel.xy) < params.size.xy;
+    let inside = vec4(true, beside.x, beside.y, all(beside));
+    let corners = vec4(straight, straight - move_by.x, straight - move_by.y, straight - move_by.x - move_by.y);
+    return Foot(vec4<u32>(select(vec4(straight), corners, inside)), inside);
 }
 
-fn bilinear(v00: f32, v10: f32, v01: f32, v11: f32) -> f32 {
+fn weights() -> vec4<f32> {
     let f = params.offset;
-    return (1.0 - f.y) * ((1.0 - f.x) * v00 + f.x * v10) + f.y * ((1.0 - f.x) * v01 + f.x * v11);
+    return vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y);
 }
 
-fn sigma_foot(q: vec3<i32>) -> f32 {
-    let b = vec3(params.travel.x, 0, params.travel.z);
-    let c = vec3(0, params.travel.y, 0);
-    let up = vec3(0, 0, params.travel.z);
-    return bilinear(sigma_at(q - up), sigma_at(q - b), sigma_at(q - up - c), sigma_at(q - b - c));
+fn sigma_foot(f: Foot) -> f32 {
+    let values = vec4(sigma[f.at.x], sigma[f.at.y], sigma[f.at.z], sigma[f.at.w]);
+    return dot(weights(), select(vec4(0.0), values, f.inside));
 }
 
-fn rho_foot(q: vec3<i32>) -> f32 {
-    let b = vec3(params.travel.x, 0, params.travel.z);
-    let c = vec3(0, params.travel.y, 0);
-    let up = vec3(0, 0, params.travel.z);
-    return bilinear(rho_at(q - up), rho_at(q - b), rho_at(q - up - c), rho_at(q - b - c));
+fn rho_foot(f: Foot) -> f32 {
+    let values = vec4(rho[f.at.x], rho[f.at.y], rho[f.at.z], rho[f.at.w]);
+    return dot(weights(), select(vec4(1.0), values, f.inside));
 }
 
 fn catmull_rom(f: f32) -> vec4<f32> {
@@ -77,7 +75,7 @@ fn catmull_rom(f: f32) -> vec4<f32> {
 }
 
 // Clamped to the four nearest values, so that a shadow neither overshoots nor rings.
-fn rho_foot_cubic(q: vec3<i32>) -> f32 {
+fn rho_foot_cubic(q: vec3<u32>) -> f32 {
     let wb = catmull_rom(params.offset.x);
     let wc = catmull_rom(params.offset.y);
     var sum = 0.0;
@@ -85,7 +83,9 @@ fn rho_foot_cubic(q: vec3<i32>) -> f32 {
     var high = -1e30;
     for (var j = 0; j < 4; j++) {
         for (var i = 0; i < 4; i++) {
-            let v = rho_at(q - vec3((i - 1) * params.travel.x, (j - 1) * params.travel.y, params.travel.z));
+            let p = vec3<u32>(vec3<i32>(q) - vec3(i - 1, j - 1, 1) * params.travel);
+            let inside = all(p.xy < params.size.xy);
+            let v = select(1.0, rho[select(0u, at(p), inside)], inside);
             sum += wb[i] * wc[j] * v;
             if (i == 1 || i == 2) && (j == 1 || j == 2) {
                 low = min(low, v);
@@ -96,9 +96,8 @@ fn rho_foot_cubic(q: vec3<i32>) -> f32 {
     return clamp(sum, low, high);
 }
 
-fn entering(q: vec3<i32>) -> bool {
-    let up = q.z - params.travel.z;
-    return up < 0 || up >= i32(params.size.z);
+fn entering(q: vec3<u32>) -> bool {
+    return u32(i32(q.z) - params.travel.z) >= params.size.z;
 }
 
 var<workgroup> largest: atomic<u32>;
@@ -124,15 +123,16 @@ fn brick_by_brick(
         for (var j = thread.y; j < extent.y; j += 16u) {
             for (var i = thread.x; i < extent.x; i += 16u) {
                 let p = vec3(start.x + i, start.y + j, a);
-                let q = vec3<i32>(p);
+                let here = at(p);
                 var value: f32;
-                if entering(q) {
-                    value = exp(-0.5 * params.length * sigma_at(q));
+                if entering(p) {
+                    value = exp(-0.5 * params.length * sigma[here]);
                 } else {
-                    value = rho_foot(q) * exp(-0.5 * params.length * (sigma_foot(q) + sigma_at(q)));
+                    let f = foot(p);
+                    value = rho_foot(f) * exp(-0.5 * params.length * (sigma_foot(f) + sigma[here]));
                 }
-                if any(p == last) { change = max(change, abs(value - rho_at(q))); }
-                rho[at(q)] = value;
+                if any(p == last) { change = max(change, abs(value - rho[here])); }
+                rho[here] = value;
             }
         }
         storageBarrier();
@@ -147,17 +147,18 @@ fn brick_by_brick(
 @compute @workgroup_size(16, 16)
 fn layer_by_layer(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.size.xy) { return; }
-    let q = vec3(vec2<i32>(id.xy), i32(front.first));
+    let p = vec3(id.xy, front.first);
+    let here = at(p);
     var value: f32;
-    if entering(q) {
-        value = exp(-0.5 * params.length * sigma_at(q));
+    if entering(p) {
+        value = exp(-0.5 * params.length * sigma[here]);
     } else {
-        value = rho_foot_cubic(q) * exp(-0.5 * params.length * (sigma_foot(q) + sigma_at(q)));
+        value = rho_foot_cubic(p) * exp(-0.5 * params.length * (sigma_foot(foot(p)) + sigma[here]));
     }
-    let change = abs(value - rho_at(q));
-    rho[at(q)] = value;
+    let change = abs(value - rho[here]);
+    rho[here] = value;
     if change > 0.0 {
-        let coords = vec3<u32>(q) / params.edge * params.brick_stride;
+        let coords = p / params.edge * params.brick_stride;
         atomicMax(&changes[coords.x + coords.y + coords.z], bitcast<u32>(change));
     }
 }

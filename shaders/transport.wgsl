@@ -8,11 +8,8 @@ struct Params {
     // Ordinates of this group.
     count: u32,
     stride: vec3<u32>,
-    // Whether S has a part linear in Ω, and whether J is wanted.
-    linear: u32,
     // Total number of values, for `settle`.
     values: u32,
-    current: u32,
     // +1 or −1 along the dominant axis.
     travel: i32,
 }
@@ -31,6 +28,10 @@ struct Ordinate {
 struct Layer {
     number: u32,
 }
+
+// Whether S has a part linear in Ω, and whether J is wanted.
+override LINEAR: bool = true;
+override CURRENT: bool = true;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> ordinates: array<Ordinate>;
@@ -56,7 +57,7 @@ fn at(q: vec3<u32>) -> u32 {
 }
 
 fn source_at(i: u32, direction: vec3<f32>) -> f32 {
-    if params.linear == 0u { return source[i]; }
+    if !LINEAR { return source[i]; }
     return max(0.0, source[i] + dot(direction, vec3(gradient_x[i], gradient_y[i], gradient_z[i])));
 }
 
@@ -130,7 +131,7 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
         for (var z = 1u; z < 8u; z++) { total += partial[z * 32u + lane]; }
         let p = at(vec3(q, a));
         sum[p] += total.x;
-        if params.current != 0u {
+        if CURRENT {
             current_x[p] += total.y;
             current_y[p] += total.z;
             current_z[p] += total.w;

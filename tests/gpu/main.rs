@@ -169,6 +169,24 @@ fn unknown_adapters_are_named_errors() {
     assert!(adapters().iter().any(|a| message.contains(&a.name)), "{message}");
 }
 
+#[test]
+fn adapters_are_found_by_any_part_of_their_name() {
+    let report = gpu().report();
+    assert!(report.max_binding >= 128 << 20 && report.max_workgroup >= 256 && report.lacks.is_none(), "{report:?}");
+    let part = report.name[..5].to_uppercase();
+    assert_eq!(Gpu::open(Some(&part)).unwrap().report(), report);
+}
+
+#[test]
+fn what_software_vulkan_would_cut_short_is_refused() {
+    if !gpu().report().name.contains("llvmpipe") {
+        return;
+    }
+    let (values, mut out) = (gpu().alloc(64 * 64 * 64).unwrap(), gpu().alloc(1).unwrap());
+    let refused = gpu().restrict([64; 3], &values, [1; 3], &mut out);
+    assert!(matches!(refused, Err(Error::Unsupported(_))), "{refused:?}");
+}
+
 /// In a process of its own, as a driver is looked for once.
 #[test]
 fn without_a_driver_there_are_no_adapters() {

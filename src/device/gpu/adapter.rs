@@ -72,7 +72,9 @@ pub(super) fn named(name: &str) -> Result<wgpu::Adapter> {
     let all = enumerate();
     let matches = |a: &wgpu::Adapter| {
         let r = report(a);
-        format!("{} {} {}", r.name, r.driver, r.backend).to_lowercase().contains(&wanted)
+        // Mesa's software Vulkan is called lavapipe and calls itself llvmpipe, the compiler inside.
+        let lavapipe = if r.backend == "vulkan" && r.name.starts_with("llvmpipe") { "lavapipe" } else { "" };
+        format!("{} {} {} {lavapipe}", r.name, r.driver, r.backend).to_lowercase().contains(&wanted)
     };
     let Some(adapter) = all.iter().filter(|a| matches(a)).min_by_key(|a| (report(a).lacks.is_some(), rank(a))) else {
         let known: Vec<String> = all.iter().map(|a| a.get_info().name).collect();

@@ -29,6 +29,11 @@ pub(super) fn groups(size: [usize; 3]) -> [usize; 3] {
     [size[0].div_ceil(8), size[1].div_ceil(8), size[2]]
 }
 
+/// Fine voxels under a coarse one, of which a kernel's invocation takes one after another.
+fn under(fine: [usize; 3], coarse: [usize; 3]) -> f64 {
+    (0..3).map(|a| (fine[a].div_ceil(coarse[a].max(1)) + 1) as f64).product()
+}
+
 pub(super) fn classify(
     gpu: &Gpu,
     optic: Optic,
@@ -38,6 +43,7 @@ pub(super) fn classify(
     size: [usize; 3],
     out: &mut Buffer,
 ) -> Result<()> {
+    gpu.rounds(under(data, size), "a light grid so much coarser than the data")?;
     let curve = optic.curve(table);
     let params = Classify {
         data: uvec3(data),
@@ -66,6 +72,7 @@ pub(super) fn restrict(
     coarse: [usize; 3],
     out: &mut Buffer,
 ) -> Result<()> {
+    gpu.rounds(under(size, coarse), "a grid so much coarser than the volume")?;
     let params = Restrict { size: uvec3(size), coarse: uvec3(coarse) };
     gpu.run(
         &RESTRICT,

@@ -19,7 +19,7 @@ pub(super) fn combine(gpu: &Gpu, terms: &[(&Buffer, f32)], out: &mut Buffer) -> 
             let kernel = gpu.kernel(&COMBINE)?;
             let unused = gpu.scratch(1)?;
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(kernel.pipeline("accumulate")?);
+            pass.set_pipeline(&kernel.pipeline(&gpu.device, "accumulate", &[]));
             for (t, (volume, weight)) in terms.iter().enumerate() {
                 let buffers = [("a", holds(volume, values)?), ("b", &unused), ("out", out)];
                 pass.set_bind_group(0, &kernel.bind(&gpu.device, &buffers)?, &[]);
@@ -42,7 +42,7 @@ fn chunks(gpu: &Gpu, entry: &str, a: &Buffer, b: &Buffer) -> Result<Vec<f32>> {
     let mut encoder = gpu.encoder();
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
-        pass.set_pipeline(kernel.pipeline(entry)?);
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, entry, &[]));
         pass.set_bind_group(0, &bound, &[]);
         pass.set_immediates(0, bytemuck::cast_slice(&[values as u32, 0, 0]));
         dispatch(&mut pass, [groups, 1, 1]);

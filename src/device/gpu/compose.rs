@@ -20,7 +20,7 @@ pub(super) fn compose(gpu: &Gpu, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32;
         let mut encoder = gpu.encoder();
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(kernel.pipeline("compose")?);
+            pass.set_pipeline(&kernel.pipeline(&gpu.device, "compose", &[]));
             for (t, (volume, weight)) in terms.iter().enumerate() {
                 let bound = kernel.bind(&gpu.device, &[("volume", holds(volume, values)?), ("rgb", &rgb)])?;
                 pass.set_bind_group(0, &bound, &[]);

@@ -4,7 +4,7 @@ use encase::ShaderType;
 use glam::{DVec3, UVec2, UVec3, Vec3};
 
 use super::shader::MARCH;
-use super::{Gpu, gpu as raw, holds, uvec3};
+use super::{Gpu, holds, uvec3};
 use crate::device::{March, Term, Weight};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -29,16 +29,13 @@ pub(super) struct Params {
     up: Vec3,
     entries: u32,
     per_world: Vec3,
-    terms: u32,
-    picture: UVec2,
-    skip: u32,
-    shade: u32,
+    spacing: f32,
     towards_light: Vec3,
     ambient: f32,
     diffuse: f32,
     specular: f32,
     shininess: f32,
-    spacing: f32,
+    picture: UVec2,
 }
 
 #[derive(ShaderType)]
@@ -51,13 +48,11 @@ struct Optics {
 #[derive(ShaderType)]
 struct TermParams {
     size: UVec3,
-    slot: u32,
-    weight: Vec3,
     first: u32,
+    weight: Vec3,
+    kind: u32,
     direction: Vec3,
     g: f32,
-    kind: u32,
-    same_grid: u32,
 }
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
@@ -70,6 +65,9 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
         let n = march.terms.len();
         return Err(Error::Unsupported(format!("{n} light volumes in one picture on a GPU; at most {MAX_TERMS}")));
     }
+    let (lo, hi) = grid.bounds();
+    let samples = (hi - lo).length() / f64::from(march.step);
+    gpu.rounds(samples * (march.terms.len().max(SLOTS) - SLOTS + 1) as f64, "a ray of so small a step")?;
     let optics: Vec<Optics> = (0..table.extinction.len())
         .map(|i| Optics {
             albedo: table.albedo[i].into(),
@@ -77,8 +75,7 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
             emission: table.emission.get(i).copied().unwrap_or_default().into(),
         })
         .collect();
-    let (buffers, places) = place(gpu, march.terms)?;
-    let terms: Vec<TermParams> = (0..march.terms.len()).map(|t| term_params(march.terms, t, places[t])).collect();
+    let (terms, buffers) = place(gpu, march.terms)?;
     let params = params(march, frame.size, optics.len());
     let pixels = gpu.scratch(4 * frame.pixels.len())?;
 
@@ -96,7 +93,13 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
         ("pixels", &pixels),
     ];
     bindings.extend(LIGHTS.iter().enumerate().map(|(i, name)| (*name, buffers.get(i).unwrap_or(&unused))));
-    gpu.run(&MARCH, "march", &bindings, [frame.size[0].div_ceil(8), frame.size[1].div_ceil(8), 1])?;
+    let parts = [
+        ("TERMS", march.terms.len() as f64),
+        ("SKIP", f64::from(!march.majorant.is_empty())),
+        ("SHADE", f64::from(march.phong.is_some())),
+        ("GLOW", f64::from(march.table.emission.as_flattened().iter().any(|e| *e != 0.0))),
+    ];
+    gpu.run_with(&MARCH, "march", &parts, &bindings, [frame.size[0].div_ceil(8), frame.size[1].div_ceil(8), 1])?;
     gpu.read(&pixels, bytemuck::cast_slice_mut(&mut frame.pixels))
 }
 
@@ -118,64 +121,48 @@ fn params(march: &March, picture: [usize; 2], entries: usize) -> Params {
         up: camera.tan * camera.up,
         entries: entries as u32,
         per_world: (1.0 / spacing).as_vec3(),
-        terms: march.terms.len() as u32,
-        picture: UVec2::new(picture[0] as u32, picture[1] as u32),
-        skip: u32::from(!march.majorant.is_empty()),
-        shade: u32::from(phong.is_some()),
+        spacing: grid.mean_spacing() as f32,
         towards_light: phong.map_or(Vec3::ZERO, |p| p.towards_light),
         ambient: phong.map_or(0.0, |p| p.ambient),
         diffuse: phong.map_or(0.0, |p| p.diffuse),
         specular: phong.map_or(0.0, |p| p.specular),
         shininess: phong.map_or(0.0, |p| p.shininess),
-        spacing: grid.mean_spacing() as f32,
+        picture: UVec2::new(picture[0] as u32, picture[1] as u32),
     }
 }
 
-/// Where the values of a term are: a light buffer and the first value in it.
-type Place = (usize, usize);
-
-/// Light buffers for the terms. Each has its own while there are enough; else the smallest share one, copied together.
-fn place(gpu: &Gpu, terms: &[Term]) -> Result<(Vec<wgpu::Buffer>, Vec<Place>)> {
-    let mut order: Vec<usize> = (0..terms.len()).collect();
-    order.sort_by_key(|&t| std::cmp::Reverse(terms[t].grid.len()));
+/// The terms as the kernel takes them, largest first, and their light buffers: one for each term, but the last is shared,
+/// its terms copied together, where there are more.
+fn place(gpu: &Gpu, terms: &[Term]) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer>)> {
+    let mut order: Vec<&Term> = terms.iter().collect();
+    order.sort_by_key(|t| std::cmp::Reverse((t.grid.len(), t.grid.size)));
+    let mut placed: Vec<TermParams> = order.iter().map(|t| term_params(t)).collect();
     let alone = if terms.len() <= SLOTS { terms.len() } else { SLOTS - 1 };
-    let mut places = vec![(0, 0); terms.len()];
     let mut buffers = Vec::new();
-    for (slot, &t) in order[..alone].iter().enumerate() {
-        places[t] = (slot, 0);
-        buffers.push(holds(terms[t].values, terms[t].grid.len())?.clone());
+    for term in &order[..alone] {
+        buffers.push(holds(term.values, term.grid.len())?.clone());
     }
     if alone < terms.len() {
-        let shared = gpu.scratch(order[alone..].iter().map(|&t| terms[t].grid.len()).sum())?;
+        let shared = gpu.scratch(order[alone..].iter().map(|t| t.grid.len()).sum())?;
         let mut encoder = gpu.encoder();
         let mut first = 0;
-        for &t in &order[alone..] {
-            let len = terms[t].grid.len();
-            encoder.copy_buffer_to_buffer(raw(terms[t].values)?, 0, &shared, 4 * first as u64, 4 * len as u64);
-            places[t] = (alone, first);
+        for (term, placed) in order[alone..].iter().zip(&mut placed[alone..]) {
+            let len = term.grid.len();
+            encoder.copy_buffer_to_buffer(holds(term.values, len)?, 0, &shared, 4 * first as u64, 4 * len as u64);
+            placed.first = first as u32;
             first += len;
         }
         gpu.submit(encoder)?;
         buffers.push(shared);
     }
-    Ok((buffers, places))
+    Ok((placed, buffers))
 }
 
-fn term_params(terms: &[Term], t: usize, (slot, first): Place) -> TermParams {
-    let term = &terms[t];
+fn term_params(term: &Term) -> TermParams {
     let (kind, weight, direction, g) = match term.weight {
         Weight::Uniform(weight) => (0, weight, Vec3::ZERO, 0.0),
         Weight::Phase { direction, irradiance, g } => (1, irradiance, direction, g),
         Weight::Current { axis, weight } => (2, weight, Vec3::AXES[axis], 0.0),
     };
-    TermParams {
-        size: uvec3(term.grid.size),
-        slot: slot as u32,
-        weight: weight.into(),
-        first: first as u32,
-        direction,
-        g,
-        kind,
-        same_grid: u32::from(t > 0 && terms[t - 1].grid.size == term.grid.size),
-    }
+    TermParams { size: uvec3(term.grid.size), first: 0, weight: weight.into(), kind, direction, g }
 }

@@ -80,10 +80,8 @@ impl Gpu {
         let slot = failure.clone();
         device.on_uncaptured_error(Arc::new(move |e| note(&slot, Failure { message: e.to_string(), lost: false })));
         let slot = failure.clone();
-        device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                note(&slot, Failure { message: format!("the device was lost: {message}"), lost: true });
-            }
+        device.set_device_lost_callback(move |_, message| {
+            note(&slot, Failure { message: format!("the device was lost: {message}"), lost: true });
         });
         Ok(Gpu { report, device, queue, kernels: Mutex::default(), failure })
     }
@@ -169,6 +167,18 @@ impl Gpu {
         Ok(buffer)
     }
 
+    /// Refuses work that the device would silently leave undone: llvmpipe, the compiler behind software Vulkan, ends the loops
+    /// of an invocation after 65535 rounds in all.
+    fn rounds(&self, rounds: f64, what: &str) -> Result<()> {
+        const LLVMPIPE: f64 = 65_535.0;
+        if self.report.name.contains("llvmpipe") && rounds > LLVMPIPE {
+            return Err(Error::Unsupported(format!(
+                "{what} takes {rounds:.0} rounds of a loop; software Vulkan does {LLVMPIPE}\n  try: --device cpu"
+            )));
+        }
+        Ok(())
+    }
+
     fn encoder(&self) -> wgpu::CommandEncoder {
         self.device.create_command_encoder(&Default::default())
     }
@@ -180,12 +190,24 @@ impl Gpu {
 
     /// Binds a kernel's buffers and runs one of its entry points once.
     fn run(&self, shader: &Shader, entry: &str, buffers: &[(&str, &wgpu::Buffer)], groups: [usize; 3]) -> Result<()> {
+        self.run_with(shader, entry, &[], buffers, groups)
+    }
+
+    /// The same, compiled for these values of its `override` constants.
+    fn run_with(
+        &self,
+        shader: &Shader,
+        entry: &str,
+        constants: &[(&str, f64)],
+        buffers: &[(&str, &wgpu::Buffer)],
+        groups: [usize; 3],
+    ) -> Result<()> {
         let kernel = self.kernel(shader)?;
         let bound = kernel.bind(&self.device, buffers)?;
         let mut encoder = self.encoder();
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(kernel.pipeline(entry)?);
+            pass.set_pipeline(&kernel.pipeline(&self.device, entry, constants));
             pass.set_bind_group(0, &bound, &[]);
             dispatch(&mut pass, groups);
         }
@@ -361,5 +383,35 @@ impl Device for Gpu {
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
         march::march(self, march, frame)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A device that is gone answers every call with an error that says so, from the first one on that waits for it.
+    #[test]
+    fn a_lost_device_is_an_error() {
+        let gpu = Gpu::open(Some("lavapipe")).expect("software Vulkan: apt-get install mesa-vulkan-drivers libvulkan1");
+        let mut buffer = gpu.alloc(64).unwrap();
+        let mut coarse = gpu.alloc(8).unwrap();
+        gpu.upload(&[1.0; 64], &mut buffer).unwrap();
+        gpu.device.destroy();
+        let mut out = [0.0; 64];
+        let results = [
+            gpu.download(&buffer, &mut out),
+            gpu.upload(&out, &mut buffer),
+            gpu.alloc(64).map(|_| ()),
+            gpu.restrict([4; 3], &buffer, [2; 3], &mut coarse),
+            gpu.compose(&[(&buffer, [1.0; 3])], &mut [[0.0; 3]; 64]),
+            gpu.brick_range(&BrickLayout::new([4; 3], 4), &buffer).map(|_| ()),
+        ];
+        for (call, result) in results.into_iter().enumerate() {
+            match result {
+                Err(Error::Device(message)) => assert!(message.contains("--device cpu"), "{message}"),
+                other => panic!("call {call}: {other:?}"),
+            }
+        }
     }
 }

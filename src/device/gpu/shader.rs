@@ -4,6 +4,7 @@
 //! layout comes from the parsed module, and a call names the buffers it binds.
 
 use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
 
 use encase::ShaderSize;
 use wgpu::naga;
@@ -67,12 +68,14 @@ pub fn shaders() -> [&'static Shader; 11] {
     [&CLASSIFY, &RESTRICT, &BRICK_RANGE, &CHANGE, &SWEEP, &SOURCE, &TRANSPORT, &COMBINE, &EXTEND, &COMPOSE, &MARCH]
 }
 
-/// A shader on a device: its pipelines by entry point, and its bindings by name.
+/// A shader on a device: its bindings by name, and its pipelines by entry point and constants.
 pub(super) struct Kernel {
     name: &'static str,
+    module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
+    pipeline_layout: wgpu::PipelineLayout,
     bindings: Vec<(String, u32)>,
-    pipelines: HashMap<String, wgpu::ComputePipeline>,
+    pipelines: Mutex<HashMap<String, wgpu::ComputePipeline>>,
 }
 
 impl Kernel {
@@ -119,18 +122,7 @@ impl Kernel {
             label: Some(shader.name),
             source: wgpu::ShaderSource::Wgsl(shader.source.into()),
         });
-        let pipeline = |entry: &str| {
-            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: Some(&pipeline_layout),
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: Default::default(),
-                cache: None,
-            })
-        };
-        let pipelines = parsed.entry_points.iter().map(|e| (e.name.clone(), pipeline(&e.name))).collect();
-        Ok(Kernel { name: shader.name, layout, bindings, pipelines })
+        Ok(Kernel { name: shader.name, module, layout, pipeline_layout, bindings, pipelines: Mutex::default() })
     }
 
     /// Binds buffers by the names that WGSL gives them; all of them must be named.
@@ -153,10 +145,25 @@ impl Kernel {
         }))
     }
 
-    /// The pipeline of an entry point.
-    pub(super) fn pipeline(&self, entry: &str) -> Result<&wgpu::ComputePipeline> {
-        self.pipelines
-            .get(entry)
-            .ok_or_else(|| Error::Device(format!("shader {}: no entry point `{entry}`", self.name)))
+    /// The pipeline of an entry point, compiled for these values of the shader's `override` constants. What a picture or a
+    /// solve does not need costs nothing then; on software Vulkan a branch not taken costs as much as one taken.
+    pub(super) fn pipeline(
+        &self,
+        device: &wgpu::Device,
+        entry: &str,
+        constants: &[(&str, f64)],
+    ) -> wgpu::ComputePipeline {
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        let create = || {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry),
+                layout: Some(&self.pipeline_layout),
+                module: &self.module,
+                entry_point: Some(entry),
+                compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
+                cache: None,
+            })
+        };
+        pipelines.entry(format!("{entry} {constants:?}")).or_insert_with(create).clone()
     }
 }

@@ -67,14 +67,14 @@ pub(super) fn source(
     }
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
-        pass.set_pipeline(kernel.pipeline("add_light")?);
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, "add_light", &[]));
         for (fluence, irradiance, u) in term.first {
             pass.set_bind_group(0, &bind(holds(fluence, values)?)?, &[]);
             let u = *irradiance * *u;
             pass.set_immediates(0, bytemuck::cast_slice(&[*irradiance, u.x, u.y, u.z]));
             dispatch(&mut pass, groups);
         }
-        pass.set_pipeline(kernel.pipeline("scatter")?);
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, "scatter", &[]));
         pass.set_bind_group(0, &bind(&gpu.scratch(1)?)?, &[]);
         pass.set_immediates(0, &[0; 16]);
         dispatch(&mut pass, groups);

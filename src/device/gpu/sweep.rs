@@ -76,14 +76,14 @@ pub(super) fn sweep(
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_bind_group(0, &bound, &[]);
         if sweep.cubic {
-            pass.set_pipeline(kernel.pipeline("layer_by_layer")?);
+            pass.set_pipeline(&kernel.pipeline(&gpu.device, "layer_by_layer", &[]));
             for l in 0..size[2] {
                 let layer = if params.travel.z > 0 { l } else { size[2] - 1 - l };
                 pass.set_immediates(0, bytemuck::cast_slice(&[layer as u32, 0]));
                 dispatch(&mut pass, [size[0].div_ceil(16), size[1].div_ceil(16), 1]);
             }
         } else {
-            pass.set_pipeline(kernel.pipeline("brick_by_brick")?);
+            pass.set_pipeline(&kernel.pipeline(&gpu.device, "brick_by_brick", &[]));
             let mut first = 0;
             for front in fronts {
                 pass.set_immediates(0, bytemuck::cast_slice(&[first, front.len() as u32]));

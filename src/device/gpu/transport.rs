@@ -14,9 +14,7 @@ pub(super) struct Params {
     size: UVec3,
     count: u32,
     stride: UVec3,
-    linear: u32,
     values: u32,
-    current: u32,
     travel: i32,
 }
 
@@ -78,16 +76,9 @@ pub(super) fn transport(
     }
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
-        let mut params = Params {
-            size: uvec3(size),
-            count: 0,
-            stride: UVec3::ZERO,
-            linear: u32::from(t.gradient.is_some()),
-            values: values as u32,
-            current: u32::from(current.is_some()),
-            travel: 1,
-        };
-        pass.set_pipeline(kernel.pipeline("step_layer")?);
+        let mut params = Params { size: uvec3(size), count: 0, stride: UVec3::ZERO, values: values as u32, travel: 1 };
+        let parts = [("LINEAR", t.gradient.is_some().into()), ("CURRENT", current.is_some().into())];
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, "step_layer", &parts));
         for (axis, ascending) in [(0, true), (0, false), (1, true), (1, false), (2, true), (2, false)] {
             let axes = layers_last(axis);
             let group = group(t, axis, ascending);
@@ -107,7 +98,7 @@ pub(super) fn transport(
             }
         }
         let nobody = Ordinate { direction: Vec3::ZERO, weight: 0.0, foot: Vec2::ZERO, length: 0.0, inflow: 0.0 };
-        pass.set_pipeline(kernel.pipeline("settle")?);
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, "settle", &[]));
         pass.set_bind_group(0, &bind(&params, &[nobody], &gpu.scratch(1)?)?, &[]);
         dispatch(&mut pass, [values.div_ceil(256), 1, 1]);
     }
