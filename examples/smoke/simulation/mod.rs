@@ -21,17 +21,17 @@ pub const TIME_STEP: f64 = 1.0 / 24.0;
 /// Height of the box in widths.
 const HEIGHT: f32 = 1.5;
 /// Acceleration of smoke of heat 1, widths per unit time squared.
-const BUOYANCY: f32 = 0.55;
+const BUOYANCY: f32 = 1.8;
 /// Heat lost per unit time.
 const COOLING: f32 = 0.12;
 /// Smoke lost per unit time, so that old smoke thins out.
 const FADING: f32 = 0.06;
 /// ε of the confinement of vorticity, in cells.
-const CONFINEMENT: f32 = 0.25;
+const CONFINEMENT: f32 = 0.30;
 /// Middle and radius of the ball.
-const BALL: (Vec3A, f32) = (Vec3A::new(0.5, 0.5, 0.62), 0.13);
+const BALL: (Vec3A, f32) = (Vec3A::new(0.5, 0.5, 0.52), 0.115);
 /// Radius of the inlet in the floor, and speed of what enters.
-const INLET: (f32, f32) = (0.11, 0.32);
+const INLET: (f32, f32) = (0.11, 0.5);
 /// Share of the divergence that a projection leaves.
 const LEFT_OVER: f64 = 1e-3;
 /// Cells that the fastest smoke may cross at a time; a step is divided when it would cross more.

@@ -81,7 +81,7 @@ fn projection_leaves_a_thousandth_of_the_divergence() {
     assert!(left <= 1.1 * LEFT_OVER, "{left} of the divergence is left");
     assert!(iterations <= 12, "{iterations} iterations: the preconditioner does not do its work");
 
-    let ball = smoke.lattice.at(14, 14, (0.62 * 27.0) as usize + 1);
+    let ball = smoke.lattice.at(14, 14, (0.52 * 27.0) as usize + 1);
     for (axis, faces) in velocity.iter().enumerate() {
         assert_eq!(faces[ball], 0.0, "the flow enters the ball along axis {axis}");
     }
@@ -155,7 +155,7 @@ fn smoke_rises_round_the_ball() {
         assert!(values.iter().all(|v| (0.0..=1.0).contains(v)));
         assert!(height(&values) > last, "the smoke does not rise");
         last = height(&values);
-        assert_eq!(values[(15 * 24 + 12) * 24 + 12], 0.0, "smoke inside the ball");
+        assert_eq!(values[(12 * 24 + 12) * 24 + 12], 0.0, "smoke inside the ball");
     }
     assert!((smoke.time() - 32.0 * TIME_STEP).abs() < 1e-9);
 }
