@@ -9,13 +9,21 @@ use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
 use crate::medium::Medium;
 use crate::scene::{Interpolation, Scene, SolverKeys};
-use crate::sink::IlluminatedVolume;
 
 mod direct;
 pub mod ordinates;
 
 pub use direct::{Direct, DirectReport};
 use ordinates::{ScatterProblem, Scattered};
+
+/// The light of one step: fluence per colour channel on the light grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IlluminatedVolume {
+    /// Where the values sit.
+    pub grid: Grid,
+    /// Fluence as (z, y, x, rgb).
+    pub fluence: Vec<[f32; 3]>,
+}
 
 /// The light of the latest step; what the next solve starts from.
 #[derive(Default)]

@@ -18,8 +18,8 @@ use image::RgbImage;
 
 use crate::error::{Error, Result};
 use crate::frame::{Display, Frame};
-use crate::grid::Grid;
 use crate::ledger::LedgerRow;
+pub use crate::light::IlluminatedVolume;
 use crate::scene::{Overlay, Scene};
 
 pub mod exr;
@@ -34,15 +34,6 @@ mod yuv;
 
 use template::Template;
 pub(crate) use whole::write_whole;
-
-/// The light of one step: fluence per colour channel on the light grid.
-#[derive(Debug, Clone, PartialEq)]
-pub struct IlluminatedVolume {
-    /// Where the values sit.
-    pub grid: Grid,
-    /// Fluence as (z, y, x, rgb).
-    pub fluence: Vec<[f32; 3]>,
-}
 
 /// What a session made of one step.
 #[derive(Debug, Clone)]
