@@ -1,0 +1,228 @@
+//! A band of rows through a block of layers, all lanes of a batch.
+
+use std::cell::RefCell;
+
+use super::super::simd::dispatch;
+use super::aligned::Aligned;
+use super::rows::{Across, Step, across, step, towards};
+use super::turn::{turn_in, turn_out};
+use super::{BLOCK, Band, Job, WIDTH, stride};
+
+/// A thread's working memory. Rows are padded to a multiple of [`WIDTH`].
+#[derive(Default)]
+struct Scratch {
+    /// Radiance of the layer before and of this one: (row, lane, column), `BLOCK` rows beyond the band on both sides.
+    radiance: [Aligned; 2],
+    /// S towards each lane, likewise, where it depends on direction.
+    emitted: [Aligned; 2],
+    feet: Vec<FootRows>,
+    /// Rows of the lane at work.
+    up: Aligned,
+    emitted_up: Across,
+    /// S of a row whose length is no multiple of [`WIDTH`].
+    isotropic: Aligned,
+    /// φ and J of a row.
+    row: Aligned,
+    /// Layers of the fields perpendicular to x: (field, layer, row, column), the layer before the block first.
+    turned: Aligned,
+    /// φ and J of such layers: (part, layer, row, column).
+    sums: Aligned,
+}
+
+/// Rows that the lanes of a foot share.
+#[derive(Default)]
+struct FootRows {
+    /// Half the step times σ here and at the feet, and S at the feet.
+    depth: Aligned,
+    depth_up: Across,
+    emitted_up: Across,
+}
+
+impl Scratch {
+    /// Makes room for a band of `height` rows of which `held` are kept with their surroundings.
+    fn fit(&mut self, job: &Job, height: usize, held: usize, parts: usize) {
+        let (padded, lanes) = (job.padded(), job.batch.lanes.len());
+        let planes = held * lanes * stride(job.cols());
+        self.radiance.iter_mut().for_each(|v| v.grow(planes));
+        if job.linear() {
+            self.emitted.iter_mut().for_each(|v| v.grow(planes));
+        }
+        self.feet.resize_with(self.feet.len().max(job.batch.feet.len()), FootRows::default);
+        for foot in &mut self.feet {
+            foot.depth.grow(padded);
+            foot.depth_up.fit(padded);
+            foot.emitted_up.fit(padded);
+        }
+        self.up.grow(padded + 2 * WIDTH);
+        self.emitted_up.fit(padded);
+        self.isotropic.grow(padded);
+        self.row.grow(parts * padded);
+        if job.batch.axis == 0 {
+            self.turned.grow(job.fields.len() * (BLOCK + 1) * held * padded);
+            self.sums.grow(parts * BLOCK * height * padded);
+        }
+    }
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// reads the layer before the block, σ, S → writes the last layer of the block, φ, J.
+pub(super) fn run(job: &Job, band: &mut Band) {
+    SCRATCH.with_borrow_mut(|scratch| block_of_band(job, band, scratch));
+}
+
+dispatch! {
+    fn block_of_band(job: &Job, band: &mut Band, scratch: &mut Scratch) = block_body;
+}
+
+#[inline(always)]
+fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
+    let (rows, cols, padded, lanes) = (job.rows(), job.cols(), job.padded(), &job.batch.lanes[..]);
+    let (stride, parts, height) = (stride(cols), band.sums.len(), band.rows.len());
+    let pitch = lanes.len() * stride;
+    // Rows that the scratch holds, and where row j is in it.
+    let held = band.rows.start.saturating_sub(BLOCK)..(band.rows.end + BLOCK).min(rows);
+    let at = |j: usize| (j - held.start) * pitch;
+    scratch.fit(job, height, held.len(), parts);
+    let Scratch { radiance, emitted, feet, up, emitted_up, isotropic, row, turned, sums } = scratch;
+    let [mut before, mut now] = radiance.each_mut().map(|p| &mut p[..held.len() * pitch]);
+    let [mut emitted_before, mut emitted_now] = emitted.each_mut().map(|p| &mut p[..]);
+    let across_x = job.batch.axis == 0;
+    if across_x {
+        turn_in(job, &held, turned);
+    }
+    let turned = &turned[..];
+    let field = |f: usize, l: usize, j: usize| -> &[f32] {
+        if across_x {
+            let slot = f * (BLOCK + 1) + l + 1 - job.layers.start;
+            return &turned[(slot * held.len() + j - held.start) * padded..][..cols];
+        }
+        let (layer, plane) = (job.layer(l), job.size[0] * job.size[1]);
+        let start = if job.batch.axis == 1 { j * plane + layer * cols } else { layer * plane + j * cols };
+        &job.fields[f][start..][..cols]
+    };
+    if job.layers.start > 0 {
+        before.copy_from_slice(&job.entry[held.start * pitch..held.end * pitch]);
+        if job.linear() {
+            for j in held.clone() {
+                for (n, lane) in lanes.iter().enumerate() {
+                    let from = std::array::from_fn(|f| field(f + 1, job.layers.start - 1, j));
+                    towards(&lane.omega, from, &mut emitted_before[at(j) + n * stride..]);
+                }
+            }
+        }
+    }
+    let row = &mut row[..parts * padded];
+    for l in job.layers.clone() {
+        let reach = job.layers.end - 1 - l;
+        for j in band.rows.start.saturating_sub(reach)..(band.rows.end + reach).min(rows) {
+            let own = band.rows.contains(&j);
+            let beside = |step: isize| j.checked_add_signed(step).filter(|&b| b < rows);
+            // A neighbouring band's rows are needed only by lanes that come from its side.
+            let needed = |step: isize| own || (step < 0) == (j < band.rows.start);
+            for (foot, rows) in job.batch.feet.iter().zip(&mut *feet) {
+                if !needed(foot.step_row) {
+                    continue;
+                }
+                let sigma = field(0, l, j);
+                rows.depth.iter_mut().zip(sigma).for_each(|(d, s)| *d = foot.half * s);
+                let next = beside(foot.step_row);
+                if l == 0 {
+                    // Half a voxel inside the box: no σ at the feet and the S of the voxel itself.
+                    rows.depth_up.clear();
+                } else {
+                    rows.depth_up.between(foot, foot.half, field(0, l - 1, j), next.map(|b| field(0, l - 1, b)), 0.0);
+                    if !job.linear() {
+                        let next = next.map(|b| field(1, l - 1, b));
+                        rows.emitted_up.between(foot, 1.0, field(1, l - 1, j), next, foot.inflow);
+                    }
+                }
+            }
+            let isotropic: &[f32] = if cols == padded {
+                field(1, l, j)
+            } else {
+                isotropic[..cols].copy_from_slice(field(1, l, j));
+                isotropic
+            };
+            row.fill(0.0);
+            for (n, lane) in lanes.iter().enumerate() {
+                let here = at(j) + n * stride;
+                if job.linear() {
+                    let from = std::array::from_fn(|f| field(f + 1, l, j));
+                    towards(&lane.omega, from, &mut emitted_now[here..]);
+                }
+                let (foot, shared) = (&job.batch.feet[lane.foot], &feet[lane.foot]);
+                if !needed(foot.step_row) {
+                    continue;
+                }
+                let emitted = if job.linear() { &emitted_now[here..][..padded] } else { isotropic };
+                let next = beside(foot.step_row).map(|b| at(b) + n * stride);
+                let t_col = if l == 0 {
+                    up.fill(lane.inflow);
+                    emitted_up.here(emitted);
+                    0.0
+                } else {
+                    across(
+                        &before[here..][..padded],
+                        next.map(|b| &before[b..][..padded]),
+                        foot.t_row,
+                        lane.inflow,
+                        up,
+                    );
+                    up[WIDTH + cols] = lane.inflow;
+                    if job.linear() {
+                        let next = next.map(|b| &emitted_before[b..][..cols]);
+                        emitted_up.between(foot, 1.0, &emitted_before[here..][..cols], next, lane.inflow);
+                    }
+                    foot.t_col
+                };
+                let own_up = job.linear() || l == 0;
+                let reads = Step {
+                    lane,
+                    up,
+                    t_col,
+                    depth: &shared.depth,
+                    depth_up: &shared.depth_up,
+                    emitted,
+                    emitted_up: if own_up { emitted_up } else { &shared.emitted_up },
+                };
+                step(&reads, job.thin, &mut now[here..][..padded], row);
+            }
+            if own {
+                deposit(job, band, (l, j), row, sums);
+            }
+        }
+        std::mem::swap(&mut before, &mut now);
+        std::mem::swap(&mut emitted_before, &mut emitted_now);
+    }
+    band.exit.copy_from_slice(&before[at(band.rows.start)..at(band.rows.end)]);
+    if across_x {
+        turn_out(job, band, sums);
+    }
+}
+
+/// Adds a row of φ and J to the sums.
+#[inline(always)]
+fn deposit(job: &Job, band: &mut Band, (l, j): (usize, usize), row: &[f32], sums: &mut [f32]) {
+    let (cols, padded, height) = (job.cols(), job.padded(), band.rows.len());
+    let j = j - band.rows.start;
+    for (part, values) in row.chunks_exact(padded).enumerate() {
+        let into = &mut band.sums[part];
+        let sum = match job.batch.axis {
+            0 => {
+                let slot = part * BLOCK + l - job.layers.start;
+                sums[(slot * height + j) * padded..][..padded].copy_from_slice(values);
+                continue;
+            }
+            1 => &mut into[0][j * job.size[0] * job.size[1] + job.layer(l) * cols..][..cols],
+            _ => &mut into[job.layer(l) - job.span().start][j * cols..][..cols],
+        };
+        if job.first {
+            sum.copy_from_slice(&values[..cols]);
+        } else {
+            sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+        }
+    }
+}

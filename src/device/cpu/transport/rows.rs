@@ -1,0 +1,205 @@
+//! Arithmetic of transport on rows of voxels.
+
+use super::super::simd::exp;
+use super::aligned::Aligned;
+use super::{Foot, Lane, WIDTH};
+
+/// Optical depth of a step up to which [`thin`] stands for the exponential.
+pub(super) const THIN: f32 = 2.0;
+
+/// A row at the feet: interpolated across rows, and on the way to be interpolated across columns. There are `WIDTH` values
+/// of padding on both sides, the innermost of which hold what is outside the grid.
+#[derive(Default)]
+pub(super) struct Across {
+    values: Aligned,
+    /// `t_col · (values[i + 1] − values[i])`.
+    step: Aligned,
+}
+
+impl Across {
+    /// Makes room for rows of `padded` values.
+    pub fn fit(&mut self, padded: usize) {
+        self.values.grow(padded + 2 * WIDTH);
+        self.step.grow(padded + WIDTH);
+    }
+
+    /// Zeros.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        self.values.fill(0.0);
+        self.step.fill(0.0);
+    }
+
+    /// The row itself, at no offset.
+    #[inline(always)]
+    pub fn here(&mut self, row: &[f32]) {
+        self.values[WIDTH..][..row.len()].copy_from_slice(row);
+        self.step.fill(0.0);
+    }
+
+    /// Interpolates between a row and the next one that feet lie towards, if that is inside; `factor` multiplies both.
+    #[inline(always)]
+    pub fn between(&mut self, foot: &Foot, factor: f32, row: &[f32], next: Option<&[f32]>, outside: f32) {
+        across(row, next, foot.t_row, outside, &mut self.values);
+        if factor != 1.0 {
+            scale(factor, &mut self.values);
+        }
+        steps(foot.t_col, &self.values, &mut self.step);
+    }
+
+    /// `n` values and steps such that their difference (ascending) or sum are the values at the feet.
+    #[inline(always)]
+    fn feet(&self, ascending: bool, n: usize) -> (&[f32], &[f32]) {
+        let shift = if ascending { 1 } else { 0 };
+        (&self.values[WIDTH..][..n], &self.step[WIDTH - shift..][..n])
+    }
+}
+
+#[inline(always)]
+fn scale(factor: f32, values: &mut [f32]) {
+    values.iter_mut().for_each(|v| *v *= factor);
+}
+
+#[inline(always)]
+fn steps(t: f32, values: &[f32], out: &mut [f32]) {
+    let n = out.len();
+    let (v, next) = (&values[..n], &values[1..=n]);
+    for i in 0..n {
+        out[i] = t * (next[i] - v[i]);
+    }
+}
+
+/// A row interpolated towards the next one (`outside` where there is none) into the middle of `out`, with `outside` beside
+/// it.
+#[inline(always)]
+pub(super) fn across(row: &[f32], next: Option<&[f32]>, t: f32, outside: f32, out: &mut [f32]) {
+    let n = row.len();
+    let into = &mut out[WIDTH..][..n];
+    match next {
+        Some(next) => mix(row, next, t, into),
+        None => fade(row, outside, t, into),
+    }
+    out[WIDTH - 1] = outside;
+    out[WIDTH + n] = outside;
+}
+
+#[inline(always)]
+fn mix(a: &[f32], b: &[f32], t: f32, out: &mut [f32]) {
+    let n = out.len();
+    let (a, b) = (&a[..n], &b[..n]);
+    for i in 0..n {
+        out[i] = a[i] + t * (b[i] - a[i]);
+    }
+}
+
+#[inline(always)]
+fn fade(a: &[f32], b: f32, t: f32, out: &mut [f32]) {
+    let n = out.len();
+    let a = &a[..n];
+    for i in 0..n {
+        out[i] = a[i] + t * (b - a[i]);
+    }
+}
+
+/// What one lane reads of a row.
+pub(super) struct Step<'a> {
+    pub lane: &'a Lane,
+    /// Radiance of the layer before, interpolated across rows; `t_col` of the way to its neighbours are the feet.
+    pub up: &'a [f32],
+    pub t_col: f32,
+    /// Half the step times σ, here and at the feet.
+    pub depth: &'a [f32],
+    pub depth_up: &'a Across,
+    /// S here and at the feet.
+    pub emitted: &'a [f32],
+    pub emitted_up: &'a Across,
+}
+
+/// reads I, σ, S at the feet and here → writes I, adds it to φ and, where there are four sums, J.
+#[inline(always)]
+pub(super) fn step(step: &Step, thin: bool, out: &mut [f32], sums: &mut [f32]) {
+    let n = out.len();
+    let (lane, ascending) = (step.lane, step.lane.ascending);
+    let up = (&step.up[WIDTH..][..n], &step.up[if ascending { WIDTH - 1 } else { WIDTH + 1 }..][..n]);
+    let (depth_up, emitted_up) = (step.depth_up.feet(ascending, n), step.emitted_up.feet(ascending, n));
+    let (phi, current) = sums.split_at_mut(n);
+    let row = match (ascending, thin) {
+        (true, true) => step_row::<true, true>,
+        (false, true) => step_row::<false, true>,
+        (true, false) => step_row::<true, false>,
+        (false, false) => step_row::<false, false>,
+    };
+    let (t, weight) = (step.t_col, lane.weight);
+    row(up, t, depth_up, step.depth, emitted_up, step.emitted, out, weight, phi);
+    for (sum, omega) in current.chunks_exact_mut(n).zip(lane.omega) {
+        add(weight * omega, out, sum);
+    }
+}
+
+#[inline(always)]
+fn add(weight: f32, values: &[f32], sum: &mut [f32]) {
+    sum.iter_mut().zip(values).for_each(|(s, v)| *s += weight * v);
+}
+
+/// The mutable rows are arguments of their own, so that the compiler knows that they overlap nothing.
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn step_row<const ASCENDING: bool, const THIN: bool>(
+    (up_here, up_beside): (&[f32], &[f32]),
+    t: f32,
+    (depth_up, depth_step): (&[f32], &[f32]),
+    depth: &[f32],
+    (emitted_up, emitted_step): (&[f32], &[f32]),
+    emitted: &[f32],
+    out: &mut [f32],
+    weight: f32,
+    phi: &mut [f32],
+) {
+    let n = out.len();
+    let (up_here, up_beside, phi) = (&up_here[..n], &up_beside[..n], &mut phi[..n]);
+    let (depth_up, depth_step, depth) = (&depth_up[..n], &depth_step[..n], &depth[..n]);
+    let (emitted_up, emitted_step, emitted) = (&emitted_up[..n], &emitted_step[..n], &emitted[..n]);
+    for i in 0..n {
+        let foot = |value: f32, step: f32| if ASCENDING { value - step } else { value + step };
+        let up = up_here[i] + t * (up_beside[i] - up_here[i]);
+        let tau = foot(depth_up[i], depth_step[i]) + depth[i];
+        let s_up = foot(emitted_up[i], emitted_step[i]);
+        let (gain, slope) = (s_up - up, emitted[i] - s_up);
+        let radiance = up + if THIN { thin(tau, gain, slope) } else { thick(tau, gain, slope) };
+        out[i] = radiance;
+        phi[i] += weight * radiance;
+    }
+}
+
+/// `(1 − e^−τ)·gain + w₀·slope`; the weights by their series where differences would cancel.
+#[inline(always)]
+fn thick(tau: f32, gain: f32, slope: f32) -> f32 {
+    let absorbed = 1.0 - exp(-tau);
+    let weight = 1.0 - absorbed / tau;
+    let small = tau.min(0.125);
+    let series =
+        small * (0.5 - small * (1.0 / 6.0 - small * (1.0 / 24.0 - small * (1.0 / 120.0 - small * (1.0 / 720.0)))));
+    let thin = tau < 0.125;
+    let (absorbed, weight) = (if thin { tau * (1.0 - series) } else { absorbed }, if thin { series } else { weight });
+    absorbed * gain + weight * slope
+}
+
+/// The same for τ ≤ [`THIN`] without exponential and division: with `q = w₀/τ`, interpolated by a polynomial at
+/// Chebyshev's nodes to 2.2e-8, it is `τ·[gain + q·(slope − τ·gain)]`.
+#[inline(always)]
+fn thin(tau: f32, gain: f32, slope: f32) -> f32 {
+    const Q: [f32; 7] =
+        [0.49999997, -0.166665584, 0.0416579582, -0.00830663089, 0.00134923449, -0.000167222737, 1.17129066e-05];
+    let q = Q[0] + tau * (Q[1] + tau * (Q[2] + tau * (Q[3] + tau * (Q[4] + tau * (Q[5] + tau * Q[6])))));
+    tau * (gain + q * (slope - tau * gain))
+}
+
+/// S towards a direction from its isotropic part and its gradient.
+#[inline(always)]
+pub(super) fn towards(omega: &[f32; 3], [s, x, y, z]: [&[f32]; 4], out: &mut [f32]) {
+    let n = s.len();
+    let (out, x, y, z) = (&mut out[..n], &x[..n], &y[..n], &z[..n]);
+    for i in 0..n {
+        out[i] = (s[i] + (omega[0] * x[i] + omega[1] * y[i] + omega[2] * z[i])).max(0.0);
+    }
+}
