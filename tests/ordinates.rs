@@ -3,7 +3,9 @@
 use glam::Vec3;
 use gloaming::Grid;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, Ordinate, Transport};
+use gloaming::device::{Buffer, Device, Ordinate, SourceTerm, Sweep, Transport};
+use gloaming::light::ordinates::{ScatterProblem, ScatterReport, Scattered, Start, ordinates};
+use gloaming::{BrickLayout, Error};
 
 fn upload(device: &dyn Device, values: &[f32]) -> Buffer {
     let mut buffer = device.alloc(values.len()).unwrap();
@@ -160,4 +162,352 @@ fn a_pass_does_not_depend_on_the_number_of_threads() {
             assert!(run(threads) == alone, "{threads} threads");
         }
     }
+}
+
+fn download(device: &dyn Device, buffer: &Buffer) -> Vec<f32> {
+    let mut values = vec![0.0; buffer.len()];
+    device.download(buffer, &mut values).unwrap();
+    values
+}
+
+fn cube(n: usize) -> Grid {
+    Grid { spacing: [1.0 / n as f64; 3], ..Grid::new([n; 3]) }
+}
+
+/// A ball of extinction about `centre`, dense in the middle and gone at a distance of 0.4.
+fn ball(grid: &Grid, centre: Vec3, extinction: f32) -> Vec<f32> {
+    let n = grid.size[0];
+    let at = |i: usize| {
+        let p = Vec3::from([i % n, i / n % n, i / n / n].map(|c| (c as f32 + 0.5) / n as f32));
+        extinction * (1.0 - p.distance_squared(centre) / 0.16).max(0.0)
+    };
+    (0..grid.len()).map(at).collect()
+}
+
+/// A problem with one light from above and its optics, gray.
+struct Setting {
+    grid: Grid,
+    sigma: Buffer,
+    scattering: Vec<Buffer>,
+    emission: Vec<Buffer>,
+    first: Buffer,
+    irradiance: [f32; 3],
+    environment: [f32; 3],
+    anisotropy: f32,
+}
+
+impl Setting {
+    /// `sigma` is unscaled; direct light falls off with depth.
+    fn new(device: &dyn Device, grid: Grid, sigma: &[f32], albedo: f32, anisotropy: f32) -> Self {
+        let f = anisotropy * anisotropy;
+        let scaled: Vec<f32> = sigma.iter().map(|s| s * (1.0 - albedo * f)).collect();
+        let scattering: Vec<f32> = sigma.iter().map(|s| s * albedo).collect();
+        let n = grid.size[0];
+        let first: Vec<f32> = (0..grid.len()).map(|i| (-((n - 1 - i / n / n) as f32) * 4.0 / n as f32).exp()).collect();
+        Setting {
+            grid,
+            sigma: upload(device, &scaled),
+            scattering: vec![upload(device, &scattering)],
+            emission: vec![],
+            first: upload(device, &first),
+            irradiance: [1.0; 3],
+            environment: [0.0; 3],
+            anisotropy,
+        }
+    }
+
+    fn solve(&self, device: &dyn Device, solution: &mut Scattered, tolerance: f32, warm: bool) -> ScatterReport {
+        let problem = ScatterProblem {
+            sigma: &self.sigma,
+            scattering: &self.scattering,
+            emission: &self.emission,
+            first: &[(&self.first, self.irradiance, Vec3::NEG_Z)],
+            environment: self.environment,
+            anisotropy: self.anisotropy,
+            directions: 32,
+            tolerance,
+            warm,
+            scattering_on: true,
+        };
+        solution.solve(device, &problem).unwrap()
+    }
+
+    fn fresh(&self, device: &dyn Device) -> Scattered {
+        Scattered::new(device, self.grid, self.scattering.len(), self.anisotropy).unwrap()
+    }
+}
+
+fn largest(values: &[f32]) -> f32 {
+    values.iter().fold(0.0, |m, v| m.max(v.abs()))
+}
+
+fn furthest(a: &[f32], b: &[f32]) -> f32 {
+    a.iter().zip(b).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
+}
+
+/// validation.md 8, the kernel: radiance 1 that enters and S = 1 everywhere stay 1 to the bit, whatever σ is.
+#[test]
+fn a_pass_keeps_uniform_radiance_to_the_bit() {
+    let device = Cpu::new(2).unwrap();
+    let grid = Grid { size: [35, 40, 29], ..Grid::new([1; 3]) };
+    let sigma: Vec<f32> = noise(grid.len(), 5).iter().map(|s| if *s < 0.4 { 0.0 } else { 8.0 * s * s }).collect();
+    let zero = vec![0.0; grid.len()];
+    let one = vec![1.0; grid.len()];
+    for scale in [0.05, 1.0] {
+        let sigma: Vec<f32> = sigma.iter().map(|s| scale * s).collect();
+        for o in ordinates(32, 1.0).unwrap() {
+            let ([phi, ..], _) = pass(&device, &grid, &[o], &[&sigma, &one], &zero);
+            assert!(phi.iter().all(|p| *p == o.weight), "{o:?}");
+        }
+    }
+}
+
+/// validation.md 8, the solver: no absorption in a uniform environment, and emission in balance with absorption.
+#[test]
+fn white_furnace_and_isothermal_medium_are_uniform() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(20);
+    let sigma = ball(&grid, Vec3::new(0.4, 0.5, 0.6), 10.0);
+    for (albedo, anisotropy) in [(1.0, 0.0), (1.0, 0.3), (0.7, 0.0), (0.7, 0.5)] {
+        let mut setting = Setting::new(&device, grid, &sigma, albedo, anisotropy);
+        setting.irradiance = [0.0; 3];
+        setting.environment = [1.0; 3];
+        setting.emission = vec![upload(&device, &sigma.iter().map(|s| s * (1.0 - albedo)).collect::<Vec<_>>())];
+        let mut solution = setting.fresh(&device);
+        let report = setting.solve(&device, &mut solution, 1e-4, false);
+        assert!(report.converged && report.certified_error <= 1e-4, "{albedo} {anisotropy}: {report:?}");
+        let expected = 4.0 * std::f32::consts::PI;
+        let phi = download(&device, solution.fluence()[0].0);
+        let off = furthest(&phi, &vec![expected; grid.len()]) / expected;
+        assert!(off <= 1.05e-4, "ω = {albedo}, g = {anisotropy}: {off}");
+    }
+}
+
+/// validation.md 7: what a glowing, scattering, absorbing ball emits is absorbed or leaves, the better the finer the grid.
+#[test]
+fn emitted_light_is_absorbed_or_leaks() {
+    let device = Cpu::new(2).unwrap();
+    let imbalance = |n: usize| {
+        let grid = cube(n);
+        let sigma = ball(&grid, Vec3::splat(0.5), 12.0);
+        let mut setting = Setting::new(&device, grid, &sigma, 0.8, 0.0);
+        setting.irradiance = [0.0; 3];
+        setting.emission = vec![upload(&device, &sigma)];
+        let mut solution = setting.fresh(&device);
+        assert!(setting.solve(&device, &mut solution, 1e-5, false).converged);
+        let phi = download(&device, solution.fluence()[0].0);
+        let volume = (n as f64).powi(-3);
+        let sum = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() * volume;
+        let emitted = 4.0 * std::f64::consts::PI * sum(&mut sigma.iter().map(|s| f64::from(*s)));
+        let absorbed = 0.2 * sum(&mut sigma.iter().zip(&phi).map(|(s, p)| f64::from(s * p)));
+        // J of the solution through the box between the outermost values, by the trapezoidal rule.
+        let mut source = device.alloc(grid.len()).unwrap();
+        let term = SourceTerm {
+            sigma: &setting.sigma,
+            scattering: &setting.scattering[0],
+            emission: Some(&setting.emission[0]),
+            first: &[],
+            phi: solution.fluence()[0].0,
+            current: None,
+        };
+        device.source(&term, &mut source, None).unwrap();
+        let source = download(&device, &source);
+        let ([_, j @ ..], _) = pass(&device, &grid, &ordinates(32, 0.0).unwrap(), &[&sigma, &source], &phi);
+        let edge = |c: usize| if c == 0 || c == n - 1 { 0.5 } else { 1.0 };
+        let mut leaked = 0.0;
+        for (axis, j) in j.iter().enumerate() {
+            for b in 0..n {
+                for c in 0..n {
+                    let mut at = [0; 3];
+                    (at[(axis + 1) % 3], at[(axis + 2) % 3]) = (b, c);
+                    let mut flux = -f64::from(j[grid.index(at)]);
+                    at[axis] = n - 1;
+                    flux += f64::from(j[grid.index(at)]);
+                    leaked += flux * edge(b) * edge(c) * (n as f64).powi(-2);
+                }
+            }
+        }
+        ((absorbed + leaked) / emitted - 1.0).abs()
+    };
+    let [coarse, middle, fine] = [12, 24, 48].map(imbalance);
+    assert!(middle < coarse / 2.0 && fine < middle / 2.0 && fine < 0.02, "{coarse} {middle} {fine}");
+}
+
+/// The certified error is no less than the true one, cold, accelerated and by either bound, and what was asked for.
+#[test]
+fn certified_error_bounds_the_true_error() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(24);
+    for (extinction, albedo, g) in
+        [(20.0, 0.5, 0.0), (20.0, 0.9, 0.5), (30.0, 0.99, 0.0), (30.0, 1.0, 0.0), (20.0, 0.99, 0.3), (20.0, 0.9, 0.85)]
+    {
+        let sigma = ball(&grid, Vec3::splat(0.5), extinction);
+        let setting = Setting::new(&device, grid, &sigma, albedo, g);
+        let mut tight = setting.fresh(&device);
+        let exact = setting.solve(&device, &mut tight, 2e-6, false);
+        let truth = download(&device, tight.fluence()[0].0);
+        let scale = largest(&truth).max(largest(&download(&device, &setting.first)));
+        for tolerance in [0.3, 1e-2, 1e-3, 1e-4] {
+            let mut solution = setting.fresh(&device);
+            let report = setting.solve(&device, &mut solution, tolerance, false);
+            let phi = download(&device, solution.fluence()[0].0);
+            let error = f64::from(furthest(&phi, &truth) / scale);
+            assert!(report.converged && report.certified_error <= f64::from(tolerance), "{tolerance} {report:?}");
+            let bound = report.certified_error + exact.certified_error;
+            assert!(error <= bound, "ω = {albedo}, g = {g}: {error} above {bound}");
+        }
+    }
+}
+
+/// validation.md 17: over drifting steps warm and cold solutions agree within their certified errors, and warm is cheaper.
+#[test]
+fn warm_is_cold_within_the_certified_error_and_cheaper() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(24);
+    let centre = |step: usize| Vec3::new(0.45, 0.5, 0.4) + Vec3::new(0.1, 0.05, 0.08) * (step as f32 / 24.0);
+    let setting = |step| Setting::new(&device, grid, &ball(&grid, centre(step), 20.0), 0.95, 0.0);
+    let mut kept = setting(0).fresh(&device);
+    let (mut warm_work, mut cold_work, mut extrapolated) = (0, 0, 0);
+    for step in 0..24 {
+        let setting = setting(step);
+        let warm = setting.solve(&device, &mut kept, 1e-3, true);
+        let mut fresh = setting.fresh(&device);
+        let cold = setting.solve(&device, &mut fresh, 1e-3, true);
+        assert_eq!(cold.start, Start::Cold);
+        assert!(warm.converged && cold.converged);
+        let [a, b] = [&kept, &fresh].map(|s| download(&device, s.fluence()[0].0));
+        let scale = largest(&b).max(largest(&download(&device, &setting.first)));
+        let apart = f64::from(furthest(&a, &b) / scale);
+        assert!(apart <= 1.01 * (warm.certified_error + cold.certified_error), "step {step}: {apart}");
+        warm_work += warm.voxel_updates;
+        cold_work += cold.voxel_updates;
+        extrapolated += usize::from(warm.start == Start::Extrapolated);
+    }
+    println!("{warm_work} voxel updates against {cold_work}, {extrapolated} of 24 extrapolated");
+    assert!(10 * warm_work < 6 * cold_work, "{warm_work} voxel updates against {cold_work}");
+    assert!(extrapolated > 12, "{extrapolated} of 24");
+}
+
+/// At tolerance 0 earlier steps leave no trace.
+#[test]
+fn tolerance_0_does_not_depend_on_earlier_steps() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(12);
+    let setting = |x: f32| Setting::new(&device, grid, &ball(&grid, Vec3::new(x, 0.5, 0.5), 8.0), 0.8, 0.4);
+    let mut kept = setting(0.3).fresh(&device);
+    for x in [0.3, 0.4, 0.5] {
+        let report = setting(x).solve(&device, &mut kept, 0.0, true);
+        assert!(report.converged && report.certified_error < 1e-5, "{report:?}");
+    }
+    let mut fresh = setting(0.5).fresh(&device);
+    setting(0.5).solve(&device, &mut fresh, 0.0, false);
+    let [a, b] = [&kept, &fresh].map(|s| download(&device, s.fluence()[0].0));
+    assert!(a == b);
+}
+
+/// Scattering is linear: three channels are three gray problems.
+#[test]
+fn channels_are_independent() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(16);
+    let sigma = ball(&grid, Vec3::splat(0.5), 10.0);
+    let gray = |albedo: f32, irradiance: f32| {
+        let mut setting = Setting::new(&device, grid, &sigma, albedo, 0.0);
+        setting.irradiance = [irradiance; 3];
+        let mut solution = setting.fresh(&device);
+        setting.solve(&device, &mut solution, 1e-4, false);
+        download(&device, solution.fluence()[0].0)
+    };
+    let mut setting = Setting::new(&device, grid, &sigma, 0.9, 0.0);
+    setting.scattering =
+        [0.9, 0.6, 0.3].map(|albedo| upload(&device, &sigma.iter().map(|s| s * albedo).collect::<Vec<_>>())).into();
+    setting.irradiance = [1.0, 2.0, 0.5];
+    let mut solution = setting.fresh(&device);
+    setting.solve(&device, &mut solution, 1e-4, false);
+    let mut rgb = vec![[0.0; 3]; grid.len()];
+    device.compose(&solution.fluence(), &mut rgb).unwrap();
+    for (c, expected) in [gray(0.9, 1.0), gray(0.6, 2.0), gray(0.3, 0.5)].iter().enumerate() {
+        assert!(rgb.iter().zip(expected).all(|(got, e)| got[c] == *e), "channel {c}");
+    }
+    assert_eq!(solution.terms().len(), 3);
+}
+
+/// Without scattering only the environment's light is left: e^−τ of it arrives.
+#[test]
+fn without_scattering_only_the_environment_remains() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(16);
+    let setting = Setting::new(&device, grid, &vec![2.0; grid.len()], 0.9, 0.0);
+    let problem = ScatterProblem {
+        sigma: &setting.sigma,
+        scattering: &setting.scattering,
+        emission: &[],
+        first: &[(&setting.first, [1.0; 3], Vec3::NEG_Z)],
+        environment: [0.5; 3],
+        anisotropy: 0.0,
+        directions: 32,
+        tolerance: 1e-3,
+        warm: true,
+        scattering_on: false,
+    };
+    let mut solution = setting.fresh(&device);
+    let report = solution.solve(&device, &problem).unwrap();
+    assert_eq!((report.iterations, report.sweeps), (1, 32.0));
+    let zero = vec![0.0; grid.len()];
+    let sigma = vec![2.0; grid.len()];
+    let ([expected, ..], _) = pass(&device, &grid, &ordinates(32, 0.5).unwrap(), &[&sigma, &zero], &zero);
+    assert_eq!(download(&device, solution.fluence()[0].0), expected);
+    let wrong = ScatterProblem { directions: 12, ..problem };
+    assert!(matches!(solution.solve(&device, &wrong), Err(Error::Scene { key, .. }) if key == "light.directions"));
+}
+
+/// All orders of scattering on the reference scene (`plume_128.h5`: σ_t = 30·density, albedo .8, irradiance π along
+/// (.6, .4, −.7)) at half resolution: mean and largest fluence of scattered light of an independent implementation.
+#[test]
+fn scattered_light_of_the_reference_scene() {
+    let device = Cpu::new(0).unwrap();
+    let file = hdf5::File::open("tests/data/plume_128.h5").unwrap();
+    let density: Vec<f32> = file.dataset("density").unwrap().read_raw().unwrap();
+    let (fine, coarse) = (cube(128), cube(64));
+    let sigma_fine = upload(&device, &density.iter().map(|d| 30.0 * d).collect::<Vec<_>>());
+    let u = Vec3::new(0.6, 0.4, -0.7).normalize();
+    let sweep = Sweep::new(&fine, u, false);
+    let layout = BrickLayout::new(fine.size, BrickLayout::EDGE);
+    let fronts = layout.fronts(sweep.ascending());
+    let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+    let mut rho = device.alloc(fine.len()).unwrap();
+    device.sweep(&sweep, &layout, &sigma_fine, &mut rho, &fronts).unwrap();
+    let [mut sigma, mut first, mut scattering] = [(); 3].map(|()| device.alloc(coarse.len()).unwrap());
+    device.restrict(fine.size, &sigma_fine, coarse.size, &mut sigma).unwrap();
+    device.restrict(fine.size, &rho, coarse.size, &mut first).unwrap();
+    device.combine(&[(&sigma, 0.8)], &mut scattering).unwrap();
+    let setting = Setting {
+        grid: coarse,
+        sigma,
+        scattering: vec![scattering],
+        emission: vec![],
+        first,
+        irradiance: [std::f32::consts::PI; 3],
+        environment: [0.0; 3],
+        anisotropy: 0.0,
+    };
+    let problem = ScatterProblem {
+        sigma: &setting.sigma,
+        scattering: &setting.scattering,
+        emission: &[],
+        first: &[(&setting.first, setting.irradiance, u)],
+        environment: [0.0; 3],
+        anisotropy: 0.0,
+        directions: 32,
+        tolerance: 1e-4,
+        warm: false,
+        scattering_on: true,
+    };
+    let mut solution = setting.fresh(&device);
+    let report = solution.solve(&device, &problem).unwrap();
+    assert!(report.converged && report.iterations <= 13, "{report:?}");
+    let phi = download(&device, solution.fluence()[0].0);
+    let mean = phi.iter().map(|p| f64::from(*p)).sum::<f64>() / phi.len() as f64;
+    assert!((mean / 0.272_273 - 1.0).abs() < 2e-4, "mean {mean}");
+    assert!((largest(&phi) / 2.273_21 - 1.0).abs() < 3e-4, "largest {}", largest(&phi));
 }

@@ -115,6 +115,8 @@ struct Channel {
     known: usize,
     /// u of the error bound.
     majorant: Option<State>,
+    /// The guess that won in the latest step and its residual relative to the largest fluence.
+    won: Option<(Start, f64)>,
 }
 
 /// A bound R ↦ gain·R on the error of Φ(x).
@@ -134,7 +136,7 @@ impl Scattered {
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or the device's.
     pub fn new(device: &dyn Device, grid: Grid, channels: usize, anisotropy: f32) -> Result<Self> {
         let state = || State::new(device, grid.len(), anisotropy != 0.0);
-        let channel = |_| Ok(Channel { solution: state()?, before: state()?, known: 0, majorant: None });
+        let channel = |_| Ok(Channel { solution: state()?, before: state()?, known: 0, majorant: None, won: None });
         Ok(Scattered {
             grid,
             anisotropy,
@@ -186,7 +188,7 @@ impl Scattered {
         let g = problem.anisotropy;
         let linear = 3.0 * g / (1.0 + g);
         let Scattered { grid, channels, optics, work, states: [x, value, other], anderson, ones, .. } = self;
-        let Channel { solution, before, known, majorant } = &mut channels[channel];
+        let Channel { solution, before, known, majorant, won } = &mut channels[channel];
         let first: Vec<_> = problem.first.iter().map(|(t, e, u)| (*t, e[channel], *u)).collect();
         let emission = problem.emission.get(channel);
         optics.prepare(
@@ -252,9 +254,10 @@ impl Scattered {
         let target = |peak: f64| tolerance * scale(peak) / certificate.gain.max(f64::MIN_POSITIVE);
 
         let warm = problem.warm && tolerance > 0.0;
-        let guesses: &[Start] = match *known {
-            2 if warm => &[Start::Extrapolated, Start::Previous],
-            1 if warm => &[Start::Previous],
+        let guesses = match (*known, *won) {
+            (2, Some((Start::Previous, _))) if warm => &[Start::Previous, Start::Extrapolated][..],
+            (2, _) if warm => &[Start::Extrapolated, Start::Previous],
+            (1, _) if warm => &[Start::Previous],
             _ => &[Start::Cold],
         };
         let mut best: Option<(Residual, Start)> = None;
@@ -270,15 +273,20 @@ impl Scattered {
                 best = Some((residual, guess));
                 std::mem::swap(value, other);
             }
-            if residual.change <= target(residual.peak) {
+            // The other guess costs a pass too: it is tried only when the one that won last does worse than it did then.
+            let as_usual = won.is_some_and(|(w, r)| w == guess && residual.change <= 1.5 * r * scale(residual.peak));
+            if as_usual || residual.change <= target(residual.peak) {
                 break;
             }
         }
         let (residual, start) = best.expect("there is a guess");
         std::mem::swap(value, other);
-        if start == Start::Extrapolated {
-            x.combine(device, &[(solution, 2.0), (before, -1.0)])?;
+        match start {
+            Start::Cold => {}
+            Start::Previous => x.combine(device, &[(solution, 1.0)])?,
+            Start::Extrapolated => x.combine(device, &[(solution, 2.0), (before, -1.0)])?,
         }
+        *won = (*known == 2).then(|| (start, residual.change / scale(residual.peak)));
         let done = iterate::iterate(&equation, x, value, residual, (anderson, work), target)?;
         passes += done.passes;
         std::mem::swap(before, solution);

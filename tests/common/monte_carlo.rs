@@ -1,0 +1,127 @@
+//! Fluence by tracing photons: the reference for everything that approximates light transport. f64, no grid in the medium,
+//! unbiased, with its standard error.
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_xorshift::XorShiftRng;
+use rayon::prelude::*;
+
+/// A medium in the box [0, 1]³, vacuum outside.
+pub struct Medium<'a> {
+    /// Extinction, at most `majorant` everywhere.
+    pub extinction: &'a (dyn Fn(DVec3) -> f64 + Sync),
+    pub majorant: f64,
+    pub albedo: f64,
+    /// Henyey–Greenstein g.
+    pub anisotropy: f64,
+}
+
+/// What lights it.
+#[derive(Clone, Copy)]
+pub enum Lamp {
+    Distant { direction: DVec3, irradiance: f64 },
+    Environment { radiance: f64 },
+}
+
+/// Mean fluence, direct light included, of the voxels of an n³ grid, x fastest, and its standard error.
+pub struct Fluence {
+    pub mean: Vec<f64>,
+    pub error: Vec<f64>,
+}
+
+/// Traces `batches` independent batches of `photons` each.
+pub fn fluence(medium: &Medium, lamp: Lamp, n: usize, photons: usize, batches: usize) -> Fluence {
+    let all: Vec<Vec<f64>> = (0..batches)
+        .into_par_iter()
+        .map(|b| {
+            let mut rng = XorShiftRng::seed_from_u64(b as u64 + 1);
+            let mut tally = vec![0.0; n * n * n];
+            for _ in 0..photons {
+                trace(medium, lamp, n, &mut tally, &mut rng);
+            }
+            let voxels = (n * n * n) as f64;
+            tally.iter_mut().for_each(|t| *t *= voxels / photons as f64);
+            tally
+        })
+        .collect();
+    let count = batches as f64;
+    let at = |i: usize| {
+        let mean = all.iter().map(|t| t[i]).sum::<f64>() / count;
+        let variance = all.iter().map(|t| (t[i] - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        (mean, (variance / count).sqrt())
+    };
+    let (mean, error) = (0..n * n * n).map(at).unzip();
+    Fluence { mean, error }
+}
+
+/// One photon by delta tracking; every tentative collision of weight w tells of a track of length w/majorant.
+fn trace(medium: &Medium, lamp: Lamp, n: usize, tally: &mut [f64], rng: &mut XorShiftRng) {
+    let (mut position, mut direction, mut weight) = emit(lamp, rng);
+    loop {
+        position += direction * (-(1.0 - rng.random::<f64>()).ln() / medium.majorant);
+        if position.min_element() < 0.0 || position.max_element() >= 1.0 {
+            return;
+        }
+        let [i, j, k] = (position * n as f64).to_array().map(|c| (c as usize).min(n - 1));
+        tally[(k * n + j) * n + i] += weight / medium.majorant;
+        let extinction = (medium.extinction)(position);
+        assert!(extinction <= medium.majorant * (1.0 + 1e-12), "majorant too low at {position}");
+        if rng.random::<f64>() * medium.majorant >= extinction {
+            continue;
+        }
+        weight *= medium.albedo;
+        if weight < 0.1 {
+            if rng.random::<f64>() >= 0.5 {
+                return;
+            }
+            weight *= 2.0;
+        }
+        direction = scatter(direction, medium.anisotropy, rng);
+    }
+}
+
+/// A photon on its way into the box: of power 1/photons for each unit of power that enters.
+fn emit(lamp: Lamp, rng: &mut XorShiftRng) -> (DVec3, DVec3, f64) {
+    let mut position = DVec3::new(rng.random(), rng.random(), rng.random());
+    match lamp {
+        Lamp::Distant { direction, irradiance } => {
+            let facing = direction.abs();
+            let pick = rng.random::<f64>() * facing.element_sum();
+            let axis = if pick < facing.x {
+                0
+            } else if pick < facing.x + facing.y {
+                1
+            } else {
+                2
+            };
+            position[axis] = if direction[axis] > 0.0 { 0.0 } else { 1.0 - 1e-12 };
+            (position, direction, irradiance * facing.element_sum())
+        }
+        Lamp::Environment { radiance } => {
+            let (axis, side) = (rng.random_range(0..3), rng.random_range(0..2));
+            position[axis] = if side == 0 { 0.0 } else { 1.0 - 1e-12 };
+            let (cosine, angle) = (rng.random::<f64>().sqrt(), rng.random::<f64>() * std::f64::consts::TAU);
+            let sine = (1.0 - cosine * cosine).sqrt();
+            let mut direction = DVec3::ZERO;
+            direction[axis] = if side == 0 { cosine } else { -cosine };
+            direction[(axis + 1) % 3] = sine * angle.cos();
+            direction[(axis + 2) % 3] = sine * angle.sin();
+            (position, direction, 6.0 * std::f64::consts::PI * radiance)
+        }
+    }
+}
+
+/// A direction sampled from Henyey–Greenstein's phase function about `direction`.
+pub fn scatter(direction: DVec3, g: f64, rng: &mut XorShiftRng) -> DVec3 {
+    let u = rng.random::<f64>();
+    let cosine = if g.abs() < 1e-3 {
+        1.0 - 2.0 * u
+    } else {
+        let s = (1.0 - g * g) / (1.0 - g + 2.0 * g * u);
+        ((1.0 + g * g - s * s) / (2.0 * g)).clamp(-1.0, 1.0)
+    };
+    let angle = rng.random::<f64>() * std::f64::consts::TAU;
+    let sine = (1.0 - cosine * cosine).sqrt();
+    let (a, b) = direction.any_orthonormal_pair();
+    (a * (sine * angle.cos()) + b * (sine * angle.sin()) + direction * cosine).normalize()
+}
