@@ -1,6 +1,6 @@
 //! Scattered light against Monte Carlo (validation.md 8, 9, 20; light.md, "Promise, tested").
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device, Sweep};
 use gloaming::light::ordinates::{ScatterProblem, Scattered};
