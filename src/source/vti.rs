@@ -95,8 +95,9 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
     let mut headers: Vec<Header> = Vec::new();
     for (place, cells) in [("PointData", false), ("CellData", true)] {
         for array in piece.child(place).iter().flat_map(|p| p.all("DataArray")) {
-            let values =
-                std::array::from_fn(|a| (extent[2 * a + 1] - extent[2 * a]).max(0.0) as usize + usize::from(!cells));
+            let values = std::array::from_fn(|a| {
+                ((extent[2 * a + 1] - extent[2 * a]).max(0.0) as usize).saturating_add(usize::from(!cells))
+            });
             let half = if cells { 0.5 } else { 0.0 };
             let grid = GridInfo {
                 size: values,
@@ -234,7 +235,7 @@ impl Storage {
         let length = usize::try_from(count).ok().and_then(|n| n.checked_add(3)?.checked_mul(self.header));
         let length = length.filter(|&l| l <= coded.len()).ok_or_else(short)?;
         let (head, mut at) = fetch(0..length)?;
-        let packed = self.counts(&head)[3..].to_vec();
+        let packed = self.counts(&head).split_off(3.min(head.len() / self.header));
         let whole = if base64 {
             self.base64(&coded[at..], 0..packed.iter().fold(0, |n: usize, l| n.saturating_add(*l as usize)))?.0
         } else {

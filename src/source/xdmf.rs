@@ -236,7 +236,7 @@ impl Array {
         let parts = component(&shown, vector.then(|| self.shape[3]), spec.component.as_deref())?;
         let part = |c: &Option<usize>| {
             let mut fixed: Vec<(usize, usize)> = (0..first).map(|a| (a, item.start[a])).collect();
-            fixed.extend(c.map(|c| (rank - 1, item.start[rank - 1] + c)));
+            fixed.extend(c.map(|c| (rank - 1, item.start[rank - 1].saturating_add(c))));
             let start = space.map(|a| item.start[a]);
             if let Some(dataset) = item.dataset.clone() {
                 let packing = h5::Packing::default();

@@ -321,3 +321,44 @@ fn athena_refined_blocks_are_brought_to_the_finest_level() {
     let wanted = (0..40).map(|n| at(3 + n % 4, 1 + n / 4 % 5, 1 + n / 20));
     assert_eq!(part, wanted.collect::<Vec<_>>());
 }
+
+#[derive(hdf5::H5Type, Clone, Copy)]
+#[repr(C)]
+struct Scalar {
+    name: hdf5::types::FixedAscii<80>,
+    value: f64,
+}
+
+#[test]
+fn flash_leaves_are_put_together_on_the_finest_level() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, file) = create(&folder, "run_hdf5_plt_cnt_0003");
+    // A parent over everything, one coarse leaf on the right, eight fine ones on the left.
+    let mut boxes = vec![[0.0, 4.0, 0.0, 2.0, 0.0, 2.0], [2.0, 4.0, 0.0, 2.0, 0.0, 2.0]];
+    for n in 0..8 {
+        let at = [n & 1, n >> 1 & 1, n >> 2].map(|i| i as f64);
+        boxes.push([at[0], at[0] + 1.0, at[1], at[1] + 1.0, at[2], at[2] + 1.0]);
+    }
+    let blocks = boxes.len();
+    let flat: Vec<f64> = boxes.concat();
+    write(&file, "bounding box", &Array::from_shape_vec((blocks, 3, 2), flat).unwrap().into_dyn());
+    let kinds: Vec<i32> = (0..blocks).map(|b| if b == 0 { 2 } else { 1 }).collect();
+    write(&file, "node type", &Array::from_vec(kinds).into_dyn());
+    write(&file, "unknown names", &ArrayD::<u8>::zeros(IxDyn(&[1, 1])));
+    let name = hdf5::types::FixedAscii::from_ascii(format!("{:<79}", "time").as_bytes()).unwrap();
+    let table = [Scalar { name, value: 0.125 }];
+    file.new_dataset_builder().with_data(&table).create("real scalars").unwrap();
+    let dens =
+        ArrayD::from_shape_fn(IxDyn(&[blocks, 2, 2, 2]), |i| (i[0] * 1000 + i[3] + 10 * i[2] + 100 * i[1]) as f32);
+    write(&file, "dens", &dens);
+    drop(file);
+    let series = open(&spec(path)).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.field.as_str(), info.steps[0].time), ("FLASH", "dens", Some(0.125)));
+    assert_eq!((info.grid.size, info.grid.spacing, info.grid.origin), ([8, 4, 4], [0.5; 3], [0.25; 3]));
+    says(&info.warnings.join("\n"), &["finest level, 8×4×4", "2 times"]);
+    let values = all(series.as_ref(), 0);
+    let at = |x: usize, y: usize, z: usize| values[(z * 4 + y) * 8 + x];
+    assert_eq!([at(0, 0, 0), at(3, 1, 0), at(1, 2, 3)], [2000.0, 3011.0, 8101.0]);
+    assert_eq!([at(4, 0, 0), at(5, 1, 1), at(7, 3, 2)], [1000.0, 1000.0, 1111.0]);
+}

@@ -161,3 +161,64 @@ fn a_virtual_dataset_tells_which_part_is_missing() {
     drop(file);
     says(&open(&spec(path)).unwrap().info().warnings.join("\n"), &["part.h5", "virtual"]);
 }
+
+/// Reads whatever a file offers; only panics fail this.
+fn read_all(path: &std::path::Path, raw: Option<&str>) {
+    for field in [None, Some("q"), Some("v"), Some("c")] {
+        let asked = SourceSpec { raw: raw.map(String::from), field: field.map(String::from), ..spec(path) };
+        let Ok(series) = open(&asked) else { continue };
+        for index in 0..series.info().steps.len().min(4) {
+            let Ok(step) = series.timestep(index) else { continue };
+            if step.grid.len() < 1 << 20 {
+                let _ = step.field.read(step.grid.region(), &mut vec![0.0; step.grid.len()]);
+            }
+        }
+    }
+}
+
+/// Headers are changed byte by byte and cut short: nothing that follows may panic or run away.
+#[test]
+fn damage_anywhere_ends_in_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = 0x9e37_79b9_7f4a_7c15u64;
+    let mut random = move |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    let nrrd = "NRRD0004\ntype: short\ndimension: 4\nsizes: 2 5 4 3\nencoding: raw\nspacings: nan 1 2 3\n\n";
+    let xdmf = "<Xdmf><Domain><Grid><Time Value=\"1\"/><Topology TopologyType=\"3DCoRectMesh\" Dimensions=\"3 4 5\"/><Geometry \
+                GeometryType=\"ORIGIN_DXDYDZ\"><DataItem>0 0 0</DataItem><DataItem>1 1 1</DataItem></Geometry><Attribute Name=\"q\">\
+                <DataItem ItemType=\"HyperSlab\" Dimensions=\"1 3 4 5\"><DataItem>1 0 0 0 1 1 1 1 1 3 4 5</DataItem><DataItem \
+                Dimensions=\"2 3 4 5\" Format=\"Binary\">a.xmf</DataItem></DataItem></Attribute></Grid></Domain></Xdmf>";
+    let mut wholes: Vec<(&str, Vec<u8>)> =
+        ["raw.vti", "base64_zlib.vti", "ascii.vti", "binary.vtk", "ascii.vtk", "zlib.mha"]
+            .map(|name| (name, std::fs::read(data(&format!("vtk/{name}"))).unwrap()))
+            .into();
+    wholes.push(("a.nrrd", [nrrd.as_bytes(), &[1; 240]].concat()));
+    wholes.push(("a.xmf", xdmf.as_bytes().to_vec()));
+    for (name, whole) in wholes {
+        let path = folder.path().join(name);
+        for _ in 0..150 {
+            let mut bytes = whole.clone();
+            for _ in 0..1 + random(3) {
+                let at = random(bytes.len().min(2000));
+                bytes[at] = b"0123456789-.e<>\"= \n\xff"[random(20)];
+            }
+            if random(4) == 0 {
+                bytes.truncate(random(whole.len()));
+            }
+            std::fs::write(&path, &bytes).unwrap();
+            read_all(&path, None);
+        }
+    }
+    // HDF5 guards its own structures; what is checked is what becomes of its errors.
+    let (path, file) = create(&folder, "whole.h5");
+    write(&file, "q", &array("tzyx", 3, 1));
+    drop(file);
+    let whole = std::fs::read(&path).unwrap();
+    for n in 1..40 {
+        let path = folder.path().join(format!("cut{n}.h5"));
+        std::fs::write(&path, &whole[..whole.len() * n / 40]).unwrap();
+        read_all(&path, None);
+    }
+}

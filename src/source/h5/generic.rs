@@ -288,7 +288,7 @@ fn grid(file: &File, found: &Found, axes: &Axes, convention: &Convention, warnin
     }
 }
 
-/// Spacing and origin from 1-D arrays `x`, `y`, `z` beside the dataset, as long as its axes.
+/// Spacing and origin from 1-D arrays `x`, `y`, `z` (`xcoor`, …) beside the dataset, as long as its axes.
 fn coordinates(
     file: &File,
     dataset: &str,
@@ -298,7 +298,8 @@ fn coordinates(
     let mut path = dataset;
     while let Some((group, _)) = path.rsplit_once('/') {
         let along = |a: usize| -> Option<Vec<f64>> {
-            let array = file.dataset(&format!("{group}/{}", ["x", "y", "z"][a])).ok()?;
+            let named = |tail: &str| file.dataset(&format!("{group}/{}{tail}", ["x", "y", "z"][a]));
+            let array = named("").or_else(|_| named("coor")).ok()?;
             (array.shape() == [size[a]]).then(|| numbers_in(&array)).flatten()
         };
         if let (Some(x), Some(y), Some(z)) = (along(0), along(1), along(2)) {

@@ -6,6 +6,7 @@
 mod athena;
 mod attributes;
 mod conventions;
+mod flash;
 mod generic;
 mod netcdf;
 mod openpmd;
@@ -83,6 +84,7 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
             return generic::plan(input, convention);
         }
         Layout::Athena => athena::plan(input),
+        Layout::Flash => flash::plan(input),
         Layout::Vtkhdf => vtkhdf::plan(input),
         Layout::OpenPmd => openpmd::plan(input),
         Layout::Netcdf => netcdf::plan(input),
@@ -99,6 +101,7 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
 enum Layout {
     Generic,
     Athena,
+    Flash,
     Vtkhdf,
     OpenPmd,
     Netcdf,
@@ -113,6 +116,8 @@ fn layout(file: &File) -> Layout {
         Layout::OpenPmd
     } else if marked("NumMeshBlocks") && marked("RootGridSize") {
         Layout::Athena
+    } else if flash::is(file) {
+        Layout::Flash
     } else if marked("_NCProperties") || netcdf::has_scales(file) {
         Layout::Netcdf
     } else {

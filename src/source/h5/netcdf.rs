@@ -58,6 +58,10 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         return Err(Error::format(path, found, "a file with at least one such variable"));
     }
     let (found, scales) = &variables[choose(&path, &candidates, asked(input.files, input.spec))?];
+    if found.members.len() > 1 {
+        // One variable a step, as turbulence databases cut them out.
+        return super::generic::plan(input, &super::conventions::NONE);
+    }
     let dataset_path = found.members[0].1.clone();
     let name = format!("{}:{dataset_path}", path.display());
     let stated = spelled(scales);

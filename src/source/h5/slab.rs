@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use hdf5::{Dataset, H5Type, Hyperslab, SliceOrIndex};
-use ndarray::{ArrayD, ArrayViewMut3, Axis};
+use ndarray::{ArrayD, ArrayView3, ArrayViewMut3, Axis, s};
 
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -69,7 +69,8 @@ impl Slab {
             return fail(format!("shape {} ends before index {at} of axis {}", shape_text(&shape), axis + 1), "");
         }
         let is = self.space.map(|a| shape[a]);
-        let fits = (0..3).all(|a| if self.whole { is[a] == size[a] } else { self.start[a] + size[a] <= is[a] });
+        let fits =
+            (0..3).all(|a| if self.whole { is[a] == size[a] } else { self.start[a].saturating_add(size[a]) <= is[a] });
         if !fits {
             let found = format!("the grid changes from {} to {} (x, y, z)", shape_text(&size), shape_text(&is));
             return fail(found, "--steps A..B for the steps before or after the change");
@@ -124,6 +125,9 @@ fn cache_bytes(dataset: &Dataset, slab: &Slab) -> usize {
     bytes.saturating_mul(touched).min(CACHE).max(bytes)
 }
 
+/// Edge of the tiles in which transposed values are copied.
+const TILE: usize = 32;
+
 /// An open [`Slab`].
 pub(crate) struct SlabField {
     dataset: Arc<Dataset>,
@@ -156,11 +160,17 @@ impl SlabField {
             out.iter_mut().zip(values).for_each(|(o, &v)| *o = take(v));
             return Ok(());
         }
-        let shape = (region.size[2], region.size[1], region.size[0]);
-        let mut out =
-            ArrayViewMut3::from_shape(shape, out).map_err(|e| Error::format(self.slab.name(), e.to_string(), ""))?;
-        let stored = stored.into_dimensionality().map_err(|e| Error::format(self.slab.name(), e.to_string(), ""))?;
-        ndarray::Zip::from(&mut out).and(stored).for_each(|o, &v| *o = take(v));
+        let wrong = |e: ndarray::ShapeError| Error::format(self.slab.name(), e.to_string(), "");
+        let [nx, ny, nz] = region.size;
+        let mut out = ArrayViewMut3::from_shape((nz, ny, nx), out).map_err(wrong)?;
+        let stored: ArrayView3<T> = stored.into_dimensionality().map_err(wrong)?;
+        // Tiles of z and x, so that each cache line of either side is used whole whichever axis runs fastest.
+        for (z, y, x) in
+            (0..nz).step_by(TILE).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).step_by(TILE).map(move |x| (z, y, x))))
+        {
+            let tile = s![z..nz.min(z + TILE), y, x..nx.min(x + TILE)];
+            ndarray::Zip::from(out.slice_mut(tile)).and(stored.slice(tile)).for_each(|o, &v| *o = take(v));
+        }
         Ok(())
     }
 }
