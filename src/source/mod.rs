@@ -6,6 +6,22 @@
 //!
 //! Steps are numbered by the number in the file's name, the number of the group or dataset, or else from 0. With
 //! `--time-step DT` the time of step `n` is `n·DT`, whatever the file says.
+//!
+//! | layout | read | told by |
+//! | --- | --- | --- |
+//! | generic HDF5 | a file a step, numbered groups or datasets, or one dataset with a time axis; any axis order, integers and floats of either byte order, vectors | attributes or 1-D datasets `time`, `spacing`, `origin`, `axes`; else `--axes`, `--spacing`, … |
+//! | VTKHDF | ImageData, points and cells, temporal | group `/VTKHDF` |
+//! | openPMD 1.x | group- and file-based, vectors, constant components; values as stored | root attribute `openPMD` |
+//! | netCDF-4 / CF | dimension scales, packed and fill values; not netCDF-3 | `_NCProperties`, dimension scales |
+//! | FLASH, Athena++ | mesh blocks; refined ones brought to the finest level, coarse values repeated | `bounding box`; `NumMeshBlocks` |
+//! | Cholla, Dedalus, Meep | one file or one group a step | root attributes; `/tasks`; a time in the file's name |
+//! | XDMF | uniform grids over HDF5 (hyperslabs too) and raw files | `<Xdmf` |
+//! | VTK `.vti`, `.vtk`, `.pvd` | ImageData and STRUCTURED_POINTS in every coding but LZ4 and LZMA | their first bytes |
+//! | NRRD, MetaImage | raw, gzip or zlib, text; in one file or two | their first bytes |
+//! | raw | anything uniform: `dims` (along x, y, z), `dtype` (`f64le`, `u8`, …), `offset`, `order` (slowest first), `steps`, `components`, `gap` (bytes between steps), `start` (time of step 0) | `--raw` |
+//!
+//! Spacing and origin in a file are taken in x, y, z order. Values are as stored, with packing undone; fill values and
+//! holes read as NaN. Uneven coordinates get their mean spacing. All that was assumed is in [`SeriesInfo::warnings`].
 
 mod axes;
 mod choose;

@@ -2,6 +2,7 @@
 
 mod generic;
 mod headed;
+mod info;
 mod known;
 mod layouts;
 mod malformed;
