@@ -32,6 +32,8 @@ struct Layer {
 // Whether S has a part linear in Ω, and whether J is wanted.
 override LINEAR: bool = true;
 override CURRENT: bool = true;
+// Ordinates that a workgroup takes at once, at most 8.
+override ABREAST: u32 = 8u;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> ordinates: array<Ordinate>;
@@ -75,20 +77,22 @@ fn characteristic(tau: f32) -> vec2<f32> {
     return vec2(absorbed, 1.0 - absorbed / tau);
 }
 
-// (φ, J) of up to eight ordinates for each of 32 values; summed in the order of the ordinates, so that a pass repeats to the bit.
+// (φ, J) of up to eight ordinates for each of 32 values. They are summed in the order of the ordinates, so that a pass
+// repeats to the bit.
 var<workgroup> partial: array<vec4<f32>, 256>;
 
 // ordinates, sigma, source, gradient, radiance of the layer before → radiance, sum, current
-@compute @workgroup_size(16, 2, 8)
+@compute @workgroup_size(16, 2, ABREAST)
 fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_id) thread: vec3<u32>) {
     let q = id.xy;
     let here = all(q < params.size.xy);
     let a = select(params.size.z - 1u - layer.number, layer.number, params.travel > 0);
     let lane = thread.y * 16u + thread.x;
+    let before = (layer.number + 1u) & 1u;
     var own = vec4(0.0);
     if here {
         let p = at(vec3(q, a));
-        for (var d = thread.z; d < params.count; d += 8u) {
+        for (var d = thread.z; d < params.count; d += ABREAST) {
             let o = ordinates[d];
             let s = sigma[p];
             let emitted = source_at(p, o.direction);
@@ -97,26 +101,26 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
             var s_up = 0.0;
             var emitted_up = emitted;
             if layer.number > 0u {
-                up = 0.0;
-                emitted_up = 0.0;
+                // Straight upstream, one over along b, along c, along both. An index below 0 wraps round and is outside too.
                 let toward = select(vec2(-1), vec2(1), o.foot >= vec2(0.0));
+                let beside = vec2<u32>(vec2<i32>(q) + toward);
+                let on_grid = beside < params.size.xy;
+                let v = select(q, beside, on_grid);
+                let inside = vec4(true, on_grid.x, on_grid.y, all(on_grid));
                 let f = abs(o.foot);
-                for (var corner = 0u; corner < 4u; corner++) {
-                    let moved = vec2(corner & 1u, corner >> 1u);
-                    let weights = select(1.0 - f, f, moved == vec2(1u));
-                    let weight = weights.x * weights.y;
-                    let foot = vec2<i32>(q) + vec2<i32>(moved) * toward;
-                    if all(foot >= vec2(0)) && all(foot < vec2<i32>(params.size.xy)) {
-                        let v = vec2<u32>(foot);
-                        let i = at(vec3(v, u32(i32(a) - params.travel)));
-                        up += weight * radiance[radiance_index((layer.number + 1u) & 1u, d, v)];
-                        s_up += weight * sigma[i];
-                        emitted_up += weight * source_at(i, o.direction);
-                    } else {
-                        up += weight * o.inflow;
-                        emitted_up += weight * o.inflow;
-                    }
-                }
+                let weights = vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y);
+
+                let i = vec4(radiance_index(before, d, q), radiance_index(before, d, vec2(v.x, q.y)),
+                    radiance_index(before, d, vec2(q.x, v.y)), radiance_index(before, d, v));
+                let radiances = vec4(radiance[i.x], radiance[i.y], radiance[i.z], radiance[i.w]);
+                up = dot(weights, select(vec4(o.inflow), radiances, inside));
+
+                let above = u32(i32(a) - params.travel);
+                let j = vec4(at(vec3(q, above)), at(vec3(v.x, q.y, above)), at(vec3(q.x, v.y, above)), at(vec3(v, above)));
+                s_up = dot(weights, select(vec4(0.0), vec4(sigma[j.x], sigma[j.y], sigma[j.z], sigma[j.w]), inside));
+                let sources = vec4(source_at(j.x, o.direction), source_at(j.y, o.direction),
+                    source_at(j.z, o.direction), source_at(j.w, o.direction));
+                emitted_up = dot(weights, select(vec4(o.inflow), sources, inside));
             }
             let step = characteristic(0.5 * o.length * (s_up + s));
             let value = up + step.x * (emitted_up - up) + step.y * (emitted - emitted_up);
@@ -128,7 +132,7 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
     workgroupBarrier();
     if here && thread.z == 0u {
         var total = partial[lane];
-        for (var z = 1u; z < 8u; z++) { total += partial[z * 32u + lane]; }
+        for (var z = 1u; z < ABREAST; z++) { total += partial[z * 32u + lane]; }
         let p = at(vec3(q, a));
         sum[p] += total.x;
         if CURRENT {

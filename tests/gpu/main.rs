@@ -174,7 +174,7 @@ fn adapters_are_found_by_any_part_of_their_name() {
     let report = gpu().report();
     assert!(report.max_binding >= 128 << 20 && report.max_workgroup >= 256 && report.lacks.is_none(), "{report:?}");
     let part = report.name[..5].to_uppercase();
-    assert_eq!(Gpu::open(Some(&part)).unwrap().report(), report);
+    assert_eq!(Gpu::open(Some(&part)).unwrap().report().name, report.name);
 }
 
 #[test]

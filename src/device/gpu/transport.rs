@@ -9,6 +9,9 @@ use super::{Gpu, dispatch, holds, uvec3};
 use crate::device::{Buffer, Sweep, Transport};
 use crate::error::Result;
 
+/// Most ordinates that a workgroup takes at once.
+const ABREAST: usize = 8;
+
 #[derive(ShaderType)]
 pub(super) struct Params {
     size: UVec3,
@@ -77,8 +80,6 @@ pub(super) fn transport(
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
         let mut params = Params { size: uvec3(size), count: 0, stride: UVec3::ZERO, values: values as u32, travel: 1 };
-        let parts = [("LINEAR", t.gradient.is_some().into()), ("CURRENT", current.is_some().into())];
-        pass.set_pipeline(&kernel.pipeline(&gpu.device, "step_layer", &parts));
         for (axis, ascending) in [(0, true), (0, false), (1, true), (1, false), (2, true), (2, false)] {
             let axes = layers_last(axis);
             let group = group(t, axis, ascending);
@@ -90,6 +91,12 @@ pub(super) fn transport(
             params.count = group.len() as u32;
             params.stride = uvec3(axes.map(|a| strides(size)[a]));
             params.travel = if ascending { 1 } else { -1 };
+            let parts = [
+                ("LINEAR", t.gradient.is_some().into()),
+                ("CURRENT", current.is_some().into()),
+                ("ABREAST", group.len().min(ABREAST) as f64),
+            ];
+            pass.set_pipeline(&kernel.pipeline(&gpu.device, "step_layer", &parts));
             let radiance = gpu.scratch(2 * group.len() * b * c)?;
             pass.set_bind_group(0, &bind(&params, &group, &radiance)?, &[]);
             for layer in 0..layers as u32 {
