@@ -90,7 +90,20 @@ pub fn prefetch(at: *const f32) {
     let _ = at;
 }
 
+/// Makes streamed writes visible to other threads before what this thread does next.
+#[inline(always)]
+pub fn publish() {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: SSE is part of every x86-64.
+    unsafe {
+        std::arch::x86_64::_mm_sfence();
+    }
+}
+
 /// `to[j·to_stride + i] = from[i·from_stride + j]` for i < rows, j < cols: rows of memory become columns.
+///
+/// With `stream`, and where addresses are aligned, memory is written past the caches, which saves reading it first: for lines
+/// that nobody reads soon. Call [`publish`] before another thread reads them.
 ///
 /// # Safety
 /// Every address above must lie in memory that may be read (`from`) or written (`to`), and the two must not overlap.
@@ -102,22 +115,24 @@ pub unsafe fn transpose(
     cols: usize,
     to: *mut f32,
     to_stride: isize,
+    stream: bool,
 ) {
+    let stream = stream && to.addr() % 16 == 0 && to_stride % 4 == 0;
     let (block_rows, block_cols) = if cfg!(target_arch = "x86_64") { (rows / 4 * 4, cols / 4 * 4) } else { (0, 0) };
     // SAFETY: the caller vouches for the addresses; SSE is part of every x86-64.
     unsafe {
         #[cfg(target_arch = "x86_64")]
         for i in (0..block_rows).step_by(4) {
-            use std::arch::x86_64::{_MM_TRANSPOSE4_PS, _mm_loadu_ps, _mm_storeu_ps};
+            use std::arch::x86_64::{_MM_TRANSPOSE4_PS, _mm_loadu_ps, _mm_storeu_ps, _mm_stream_ps};
             for j in (0..block_cols).step_by(4) {
                 let at = from.offset(i as isize * from_stride).add(j);
                 let [mut a, mut b, mut c, mut d] = [0, 1, 2, 3].map(|k| _mm_loadu_ps(at.offset(k * from_stride)));
                 _MM_TRANSPOSE4_PS(&mut a, &mut b, &mut c, &mut d);
                 let at = to.offset(j as isize * to_stride).add(i);
-                _mm_storeu_ps(at, a);
-                _mm_storeu_ps(at.offset(to_stride), b);
-                _mm_storeu_ps(at.offset(2 * to_stride), c);
-                _mm_storeu_ps(at.offset(3 * to_stride), d);
+                for (k, column) in [a, b, c, d].into_iter().enumerate() {
+                    let at = at.offset(k as isize * to_stride);
+                    if stream { _mm_stream_ps(at, column) } else { _mm_storeu_ps(at, column) }
+                }
             }
         }
         for i in 0..rows {

@@ -136,7 +136,7 @@ fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
     let along = [axes.layer, axes.row, axes.col];
     let forward = [axes.ascending, axes.row_offset >= 0.0, axes.col_offset >= 0.0];
     // Layers, rows, columns of a block. Along x memory runs with the layers, else with the columns.
-    let block = if axes.layer == 0 { [128, 16, 64] } else { [32, 16, size[0]] };
+    let block = if axes.layer == 0 { [256, 16, 128] } else { [32, 16, size[0]] };
     let counts: [usize; 3] = std::array::from_fn(|a| size[along[a]].div_ceil(block[a]));
     for diagonal in 0..counts.iter().sum::<usize>() - 2 {
         let blocks: Vec<[usize; 3]> = (0..counts[0] * counts[1])

@@ -2,7 +2,7 @@
 //! turned in cache (layers first, columns along y), swept, and turned back, while memory is read and written in long
 //! runs. A row needs only itself and the upstream row, so two of each are kept.
 
-use super::simd::{dispatch, prefetch, transpose};
+use super::simd::{dispatch, prefetch, publish, transpose};
 use super::sweep::{Axes, LINE, Scratch, Shared, first_line, line, weights};
 use crate::device::Sweep;
 use crate::grid::Region;
@@ -132,10 +132,11 @@ fn region_body(
             change = change.max(difference(&turned, size, base, r_now, rho, last));
         }
         let below = ahead.map(|z| region.start[0] + region.start[1] * size[0] + z * size[0] * size[1]);
-        scatter(&turned, size, base, below, r_now, rho);
+        scatter(&turned, size, base, below.filter(|_| compare), r_now, rho);
         std::mem::swap(&mut s_up, &mut s_now);
         std::mem::swap(&mut r_up, &mut r_now);
     }
+    publish();
     change
 }
 
@@ -182,12 +183,12 @@ fn gather(
         // SAFETY: the last address read was checked; `to` holds layers 1..=layers and `cols` columns.
         unsafe {
             let to = to.as_mut_ptr().add(turned.layer_of(0) * pitch + c);
-            transpose(from.at(column(y + c) + x), size[0] as isize, n, turned.layers, to, turned.step());
+            transpose(from.at(column(y + c) + x), size[0] as isize, n, turned.layers, to, turned.step(), false);
         }
     }
 }
 
-/// Turns a row back into the grid at `base`, and asks for the part of the grid at `ahead` meanwhile.
+/// Turns a row back into the grid at `base`, and asks for the part of the grid at `ahead`; without one, it writes past the caches.
 #[inline(always)]
 fn scatter(turned: &Turned, size: [usize; 3], base: usize, ahead: Option<usize>, row: &[f32], rho: Shared) {
     let (pitch, layers) = (turned.pitch, turned.layers);
@@ -201,7 +202,7 @@ fn scatter(turned: &Turned, size: [usize; 3], base: usize, ahead: Option<usize>,
         // SAFETY: `from` holds layers 1..=layers; the last address written was checked, and the voxels are this region's.
         unsafe {
             let from = from.as_ptr().add(turned.layer_of(0) * pitch + c);
-            transpose(from, turned.step(), layers, n, rho.at(base + c * size[0]), size[0] as isize);
+            transpose(from, turned.step(), layers, n, rho.at(base + c * size[0]), size[0] as isize, ahead.is_none());
         }
     }
 }
