@@ -265,7 +265,6 @@ impl Array {
                 dtype: item.dtype,
                 strides: space.map(|a| strides[a]),
                 size: self.grid.size,
-                scale: [1.0, 0.0],
             }))
         };
         Ok(Values::of(parts.iter().map(part).collect::<Result<_>>()?))

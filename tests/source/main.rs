@@ -2,7 +2,6 @@
 
 mod generic;
 mod headed;
-mod info;
 mod known;
 mod layouts;
 mod malformed;

@@ -208,7 +208,7 @@ pub(crate) fn values(raw: &RawSpec, bytes: Bytes, index: usize, count: usize, sp
     let part = |c: &Option<usize>| {
         let skip = (c.unwrap_or(0) * component_stride * raw.dtype.bytes()) as u64;
         let offset = raw.offset.saturating_add(start).saturating_add(skip);
-        Values::Raw(Slab { bytes: bytes.clone(), offset, dtype: raw.dtype, strides, size: raw.size, scale: [1.0, 0.0] })
+        Values::Raw(Slab { bytes: bytes.clone(), offset, dtype: raw.dtype, strides, size: raw.size })
     };
     Ok(Values::of(parts.iter().map(part).collect()))
 }

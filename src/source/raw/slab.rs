@@ -40,8 +40,6 @@ pub(crate) struct Slab {
     /// Numbers from one value to the next along x, y, z.
     pub strides: [usize; 3],
     pub size: [usize; 3],
-    /// `stored·scale + intercept`.
-    pub scale: [f64; 2],
 }
 
 impl Slab {
@@ -115,15 +113,14 @@ impl RawField {
 
     /// Reads one plane across the slowest axis at a time: all that the region needs of it in one piece.
     fn read_as<T: Copy>(&self, region: Region, out: &mut [T], narrow: impl Fn(f64) -> T) -> Result<()> {
-        let Slab { strides, dtype, offset, scale, .. } = &self.slab;
-        let (number, [scale, intercept]) = (dtype.bytes(), *scale);
+        let Slab { strides, dtype, offset, .. } = &self.slab;
+        let number = dtype.bytes();
         let slowest = (0..3).max_by_key(|&a| strides[a]).unwrap_or(2);
         let [inner, outer] = match slowest {
             2 => [0, 1],
             1 => [0, 2],
             _ => [1, 2],
         };
-        let narrow = |v: f64| narrow(v * scale + intercept);
         let (mut buffer, mut row) = (Vec::new(), vec![narrow(0.0); region.size[inner]]);
         let along = |a: usize, n: usize| n * strides[a];
         let span = along(inner, region.size[inner] - 1) + along(outer, region.size[outer] - 1) + 1;
@@ -135,7 +132,7 @@ impl RawField {
                 + along(outer, region.start[outer]);
             self.bytes(offset + (first * number) as u64, span * number, &mut buffer)?;
             for o in 0..region.size[outer] {
-                dtype.decode(&buffer[along(outer, o) * number..], strides[inner], &mut row, narrow);
+                dtype.decode(&buffer[along(outer, o) * number..], strides[inner], &mut row, &narrow);
                 let at = s * steps[slowest] + o * steps[outer];
                 for (i, value) in row.iter().enumerate() {
                     out[at + i * steps[inner]] = *value;

@@ -1,10 +1,14 @@
 //! `gloaming info`, as programs read it.
+//!
+//! Apart from the tests of the readers: a child process inherits the locks of HDF5 files that other tests are writing.
 
 use std::process::{Command, Output};
 
 use serde_json::{Value, json};
 
-use super::data;
+fn data(name: &str) -> String {
+    format!("{}/tests/data/{name}", env!("CARGO_MANIFEST_DIR"))
+}
 
 fn info(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_gloaming")).arg("info").args(arguments).output().unwrap()
