@@ -28,7 +28,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "N", default_value_t = 72, value_parser = clap::value_parser!(u16).range(8..=1024))]
     size: u16,
     /// Steps to simulate, 24 a second
-    #[arg(long, value_name = "N", default_value_t = 104, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
 }
 
