@@ -36,3 +36,8 @@ pub mod transfer;
 
 pub use error::{Error, Result};
 pub use grid::{BrickLayout, Grid, Region};
+
+/// The examples of the readme are tested.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
