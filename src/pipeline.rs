@@ -158,10 +158,8 @@ fn drive(
         let mut summary = written?;
         lit?;
         summary.interrupted = stop.load(Ordering::Relaxed) && total.is_none_or(|t| summary.rows.len() < t);
-        if summary.done == 0 && !summary.interrupted {
-            if let Some((step, why)) = summary.lost.first() {
-                return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
-            }
+        if let (0, false, Some((step, why))) = (summary.done, summary.interrupted, summary.lost.first()) {
+            return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
         }
         Ok(summary)
     })
@@ -262,10 +260,11 @@ fn write_behind(
         summary.rows.push(row);
         progress(Progress { finished: summary.rows.len(), total, row: summary.rows.last().expect("just pushed") });
     }
-    let closed = sinks.iter_mut().map(|s| s.finish()).fold(Ok(()), |all, one| all.and(one));
-    outcome?;
-    closed?;
-    Ok(summary)
+    // Every sink is closed, also after one that failed.
+    for sink in &mut sinks {
+        outcome = outcome.and(sink.finish());
+    }
+    outcome.map(|()| summary)
 }
 
 /// A running simulation's end of the pipeline: steps go in, frames and movies come out, lit on a thread of its own.

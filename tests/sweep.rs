@@ -55,9 +55,9 @@ fn oracle(grid: &Grid, u: Vec3, cubic: bool, sigma: &[f32]) -> Vec<f64> {
                         };
                         let (wb, wc) = (w(tb), w(tc));
                         let mut sum = 0.0;
-                        for i in 0..4 {
-                            for j in 0..4 {
-                                sum += wb[i] * wc[j] * r(i as isize - 1, j as isize - 1);
+                        for (i, wb) in wb.iter().enumerate() {
+                            for (j, wc) in wc.iter().enumerate() {
+                                sum += wb * wc * r(i as isize - 1, j as isize - 1);
                             }
                         }
                         let near = [r(0, 0), r(0, 1), r(1, 0), r(1, 1)];

@@ -177,7 +177,7 @@ impl LightSolver {
         let glows = !medium.table.emission.is_empty();
         let f = self.anisotropy * self.anisotropy;
         let fits = |o: &Optics| {
-            o.scattering.len() == channels && (!o.emission.is_empty() == glows) && o.first.len() == volume.direct.len()
+            o.scattering.len() == channels && o.emission.is_empty() != glows && o.first.len() == volume.direct.len()
         };
         if !self.optics.as_ref().is_some_and(fits) {
             let buffer = || device.alloc(self.coarse.len());

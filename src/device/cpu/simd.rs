@@ -117,7 +117,7 @@ pub unsafe fn transpose(
     to_stride: isize,
     stream: bool,
 ) {
-    let stream = stream && to.addr() % 16 == 0 && to_stride % 4 == 0;
+    let stream = stream && to.addr().is_multiple_of(16) && to_stride % 4 == 0;
     let (block_rows, block_cols) = if cfg!(target_arch = "x86_64") { (rows / 4 * 4, cols / 4 * 4) } else { (0, 0) };
     // SAFETY: the caller vouches for the addresses; SSE is part of every x86-64.
     unsafe {
