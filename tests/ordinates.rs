@@ -432,6 +432,33 @@ fn channels_are_independent() {
     assert_eq!(solution.terms().len(), 3);
 }
 
+/// Coloured light in a gray medium costs one channel, now and in later steps.
+#[test]
+fn coloured_light_in_a_gray_medium_is_solved_once() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(16);
+    let setting = |x: f32| {
+        let sigma = ball(&grid, Vec3::new(x, 0.5, 0.5), 10.0);
+        let mut setting = Setting::new(&device, grid, &sigma, 0.9, 0.0);
+        setting.irradiance = [1.0, 0.5, 0.25];
+        setting
+    };
+    let mut coloured = setting(0.5);
+    coloured.scattering = (0..3).map(|_| upload(&device, &download(&device, &coloured.scattering[0]))).collect();
+    let (mut one, mut three) = (setting(0.5).fresh(&device), coloured.fresh(&device));
+    for x in [0.5, 0.51, 0.52] {
+        let (gray, mut rgb) = (setting(x), setting(x));
+        rgb.scattering = (0..3).map(|_| upload(&device, &download(&device, &gray.scattering[0]))).collect();
+        let a = gray.solve(&device, &mut one, 1e-3, true);
+        let b = rgb.solve(&device, &mut three, 1e-3, true);
+        assert_eq!((a.iterations, a.sweeps, a.start), (b.iterations, b.sweeps, b.start));
+        let phi = download(&device, one.fluence()[0].0);
+        let mut colours = vec![[0.0; 3]; grid.len()];
+        device.compose(&three.fluence(), &mut colours).unwrap();
+        assert!(colours.iter().zip(&phi).all(|(c, p)| *c == [*p, 0.5 * p, 0.25 * p]));
+    }
+}
+
 /// Without scattering only the environment's light is left: e^−τ of it arrives.
 #[test]
 fn without_scattering_only_the_environment_remains() {

@@ -166,6 +166,17 @@ impl Scattered {
     pub fn solve(&mut self, device: &dyn Device, problem: &ScatterProblem) -> Result<ScatterReport> {
         let mut report = ScatterReport { converged: true, ..Default::default() };
         for channel in 0..self.channels.len() {
+            if let Some((like, ratio)) = multiple(device, problem, channel)? {
+                let staged = &mut self.states[0];
+                staged.combine(device, &[(&self.channels[like].solution, ratio)])?;
+                let known = self.channels[like].known;
+                let Channel { solution, before, .. } = &mut self.channels[channel];
+                std::mem::swap(before, solution);
+                std::mem::swap(solution, staged);
+                self.channels[channel].known = known;
+                report.voxel_updates += 2 * self.grid.len() as u64;
+                continue;
+            }
             let set = ordinates(problem.directions, problem.environment[channel])?;
             let done = self.solve_channel(device, problem, channel, &set)?;
             report.iterations = report.iterations.max(done.iterations);
@@ -353,6 +364,28 @@ impl Optics {
             None => Ok(()),
         }
     }
+}
+
+/// An earlier channel of the same problem but for a factor, and the factor: one colour of light in a gray medium, say.
+fn multiple(device: &dyn Device, problem: &ScatterProblem, channel: usize) -> Result<Option<(usize, f32)>> {
+    for like in 0..channel {
+        let pairs = || {
+            let lights = problem.first.iter().map(|(_, e, _)| (e[like], e[channel]));
+            lights.chain([(problem.environment[like], problem.environment[channel])])
+        };
+        let Some((from, to)) = pairs().max_by(|a, b| a.0.total_cmp(&b.0)).filter(|p| p.0 > 0.0) else { continue };
+        let ratio = to / from;
+        let proportional = pairs().all(|(a, b)| (b - ratio * a).abs() <= 1e-6 * ratio * from);
+        let glows = !problem.emission.is_empty();
+        if !proportional || (glows && ratio != 1.0) {
+            continue;
+        }
+        let same = |of: &[Buffer]| Ok::<_, crate::Error>(device.distance(&of[like], &of[channel])? == 0.0);
+        if same(problem.scattering)? && (!glows || same(problem.emission)?) {
+            return Ok(Some((like, ratio)));
+        }
+    }
+    Ok(None)
 }
 
 /// The bound that the largest albedo gives.
