@@ -127,7 +127,8 @@ struct Job<'a> {
     fields: &'a [&'a [f32]],
     /// Layers of this block, counted in the order of travel.
     layers: Range<usize>,
-    /// Radiance of the layer before the block: (row, lane, column).
+    /// Radiance of the layer before the block: (row, lane, column). For layers perpendicular to x the layer's fields follow
+    /// the lanes, for they would be costly to gather again.
     entry: &'a [f32],
     /// True when the sums hold nothing yet.
     first: bool,
@@ -212,7 +213,7 @@ fn run(
 ) {
     let (row_axis, col_axis) = lateral(batch.axis);
     let (layers, rows, cols, plane) = (size[batch.axis], size[row_axis], size[col_axis], size[0] * size[1]);
-    let pitch = batch.lanes.len() * stride(cols);
+    let pitch = pitch(batch, fields.len(), cols);
     entry.grow(rows * pitch);
     exit.grow(rows * pitch);
     let height = height(rows, pitch);
@@ -247,6 +248,11 @@ fn run(
 /// fall into the same set of a cache.
 fn stride(cols: usize) -> usize {
     cols.next_multiple_of(WIDTH) + WIDTH
+}
+
+/// Values between rows of all lanes.
+fn pitch(batch: &Batch, fields: usize, cols: usize) -> usize {
+    (batch.lanes.len() + if batch.axis == 0 { fields } else { 0 }) * stride(cols)
 }
 
 /// Rows of a band: as few bands as give every thread the same number, with their radiance within half a megabyte.

@@ -5,8 +5,8 @@ use std::cell::RefCell;
 use super::super::simd::dispatch;
 use super::aligned::Aligned;
 use super::rows::{Across, Step, across, step, towards};
-use super::turn::{turn_in, turn_out};
-use super::{BLOCK, Band, Job, WIDTH, stride};
+use super::turn::{layer_stride, turn_in, turn_out};
+use super::{BLOCK, Band, Job, WIDTH, pitch, stride};
 
 /// A thread's working memory. Rows are padded to a multiple of [`WIDTH`].
 #[derive(Default)]
@@ -23,7 +23,7 @@ struct Scratch {
     isotropic: Aligned,
     /// φ and J of a row.
     row: Aligned,
-    /// Layers of the fields perpendicular to x: (field, layer, row, column), the layer before the block first.
+    /// Layers of the fields perpendicular to x: (field, layer, row, column), see [`layer_stride`].
     turned: Aligned,
     /// φ and J of such layers: (part, layer, row, column).
     sums: Aligned,
@@ -41,8 +41,8 @@ struct FootRows {
 impl Scratch {
     /// Makes room for a band of `height` rows of which `held` are kept with their surroundings.
     fn fit(&mut self, job: &Job, height: usize, held: usize, parts: usize) {
-        let (padded, lanes) = (job.padded(), job.batch.lanes.len());
-        let planes = held * lanes * stride(job.cols());
+        let padded = job.padded();
+        let planes = held * pitch(job.batch, job.fields.len(), job.cols());
         self.radiance.iter_mut().for_each(|v| v.grow(planes));
         if job.linear() {
             self.emitted.iter_mut().for_each(|v| v.grow(planes));
@@ -58,8 +58,8 @@ impl Scratch {
         self.isotropic.grow(padded);
         self.row.grow(parts * padded);
         if job.batch.axis == 0 {
-            self.turned.grow(job.fields.len() * (BLOCK + 1) * held * padded);
-            self.sums.grow(parts * BLOCK * height * padded);
+            self.turned.grow(job.fields.len() * BLOCK * layer_stride(held, padded));
+            self.sums.grow(parts * BLOCK * layer_stride(height, padded));
         }
     }
 }
@@ -81,7 +81,7 @@ dispatch! {
 fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     let (rows, cols, padded, lanes) = (job.rows(), job.cols(), job.padded(), &job.batch.lanes[..]);
     let (stride, parts, height) = (stride(cols), band.sums.len(), band.rows.len());
-    let pitch = lanes.len() * stride;
+    let pitch = pitch(job.batch, job.fields.len(), cols);
     // Rows that the scratch holds, and where row j is in it.
     let held = band.rows.start.saturating_sub(BLOCK)..(band.rows.end + BLOCK).min(rows);
     let at = |j: usize| (j - held.start) * pitch;
@@ -96,8 +96,11 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     let turned = &turned[..];
     let field = |f: usize, l: usize, j: usize| -> &[f32] {
         if across_x {
-            let slot = f * (BLOCK + 1) + l + 1 - job.layers.start;
-            return &turned[(slot * held.len() + j - held.start) * padded..][..cols];
+            if l < job.layers.start {
+                return &job.entry[j * pitch + (lanes.len() + f) * stride..][..cols];
+            }
+            let slot = f * BLOCK + l - job.layers.start;
+            return &turned[slot * layer_stride(held.len(), padded) + (j - held.start) * padded..][..cols];
         }
         let (layer, plane) = (job.layer(l), job.size[0] * job.size[1]);
         let start = if job.batch.axis == 1 { j * plane + layer * cols } else { layer * plane + j * cols };
@@ -168,6 +171,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                         &before[here..][..padded],
                         next.map(|b| &before[b..][..padded]),
                         foot.t_row,
+                        1.0,
                         lane.inflow,
                         up,
                     );
@@ -199,6 +203,11 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     }
     band.exit.copy_from_slice(&before[at(band.rows.start)..at(band.rows.end)]);
     if across_x {
+        for (j, row) in band.rows.clone().zip(band.exit.chunks_exact_mut(pitch)) {
+            for (f, into) in row[lanes.len() * stride..].chunks_exact_mut(stride).enumerate() {
+                into[..cols].copy_from_slice(field(f, job.layers.end - 1, j));
+            }
+        }
         turn_out(job, band, sums);
     }
 }
@@ -213,7 +222,7 @@ fn deposit(job: &Job, band: &mut Band, (l, j): (usize, usize), row: &[f32], sums
         let sum = match job.batch.axis {
             0 => {
                 let slot = part * BLOCK + l - job.layers.start;
-                sums[(slot * height + j) * padded..][..padded].copy_from_slice(values);
+                sums[slot * layer_stride(height, padded) + j * padded..][..padded].copy_from_slice(values);
                 continue;
             }
             1 => &mut into[0][j * job.size[0] * job.size[1] + job.layer(l) * cols..][..cols],

@@ -40,11 +40,11 @@ impl Across {
     /// Interpolates between a row and the next one that feet lie towards, if that is inside; `factor` multiplies both.
     #[inline(always)]
     pub fn between(&mut self, foot: &Foot, factor: f32, row: &[f32], next: Option<&[f32]>, outside: f32) {
-        across(row, next, foot.t_row, outside, &mut self.values);
-        if factor != 1.0 {
-            scale(factor, &mut self.values);
-        }
-        steps(foot.t_col, &self.values, &mut self.step);
+        across(row, next, foot.t_row, factor, outside, &mut self.values);
+        let n = self.step.len() - WIDTH;
+        let (t, values) = (foot.t_col, &self.values[WIDTH - 1..]);
+        self.step[WIDTH - 1] = t * (values[1] - values[0]);
+        steps(t, &values[1..], &mut self.step[WIDTH..][..n]);
     }
 
     /// `n` values and steps such that their difference (ascending) or sum are the values at the feet.
@@ -56,11 +56,6 @@ impl Across {
 }
 
 #[inline(always)]
-fn scale(factor: f32, values: &mut [f32]) {
-    values.iter_mut().for_each(|v| *v *= factor);
-}
-
-#[inline(always)]
 fn steps(t: f32, values: &[f32], out: &mut [f32]) {
     let n = out.len();
     let (v, next) = (&values[..n], &values[1..=n]);
@@ -69,35 +64,35 @@ fn steps(t: f32, values: &[f32], out: &mut [f32]) {
     }
 }
 
-/// A row interpolated towards the next one (`outside` where there is none) into the middle of `out`, with `outside` beside
-/// it.
+/// A row interpolated towards the next one (`outside` where there is none) and multiplied into the middle of `out`, with
+/// `outside` beside it.
 #[inline(always)]
-pub(super) fn across(row: &[f32], next: Option<&[f32]>, t: f32, outside: f32, out: &mut [f32]) {
+pub(super) fn across(row: &[f32], next: Option<&[f32]>, t: f32, factor: f32, outside: f32, out: &mut [f32]) {
     let n = row.len();
     let into = &mut out[WIDTH..][..n];
     match next {
-        Some(next) => mix(row, next, t, into),
-        None => fade(row, outside, t, into),
+        Some(next) => mix(row, next, t, factor, into),
+        None => fade(row, outside, t, factor, into),
     }
-    out[WIDTH - 1] = outside;
-    out[WIDTH + n] = outside;
+    out[WIDTH - 1] = factor * outside;
+    out[WIDTH + n] = factor * outside;
 }
 
 #[inline(always)]
-fn mix(a: &[f32], b: &[f32], t: f32, out: &mut [f32]) {
+fn mix(a: &[f32], b: &[f32], t: f32, factor: f32, out: &mut [f32]) {
     let n = out.len();
     let (a, b) = (&a[..n], &b[..n]);
     for i in 0..n {
-        out[i] = a[i] + t * (b[i] - a[i]);
+        out[i] = factor * (a[i] + t * (b[i] - a[i]));
     }
 }
 
 #[inline(always)]
-fn fade(a: &[f32], b: f32, t: f32, out: &mut [f32]) {
+fn fade(a: &[f32], b: f32, t: f32, factor: f32, out: &mut [f32]) {
     let n = out.len();
     let a = &a[..n];
     for i in 0..n {
-        out[i] = a[i] + t * (b - a[i]);
+        out[i] = factor * (a[i] + t * (b - a[i]));
     }
 }
 
