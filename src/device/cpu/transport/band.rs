@@ -27,6 +27,8 @@ struct Scratch {
     turned: Aligned,
     /// φ and J of such layers: (part, layer, row, column).
     sums: Aligned,
+    /// A row of all layers of a block, transposed back: (column, layer).
+    columns: Aligned,
 }
 
 /// Rows that the lanes of a foot share.
@@ -60,6 +62,7 @@ impl Scratch {
         if job.batch.axis == 0 {
             self.turned.grow(job.fields.len() * BLOCK * layer_stride(held, padded));
             self.sums.grow(parts * BLOCK * layer_stride(height, padded));
+            self.columns.grow(WIDTH * padded);
         }
     }
 }
@@ -86,7 +89,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     let held = band.rows.start.saturating_sub(BLOCK)..(band.rows.end + BLOCK).min(rows);
     let at = |j: usize| (j - held.start) * pitch;
     scratch.fit(job, height, held.len(), parts);
-    let Scratch { radiance, emitted, feet, up, emitted_up, isotropic, row, turned, sums } = scratch;
+    let Scratch { radiance, emitted, feet, up, emitted_up, isotropic, row, turned, sums, columns } = scratch;
     let [mut before, mut now] = radiance.each_mut().map(|p| &mut p[..held.len() * pitch]);
     let [mut emitted_before, mut emitted_now] = emitted.each_mut().map(|p| &mut p[..]);
     let across_x = job.batch.axis == 0;
@@ -208,7 +211,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 into[..cols].copy_from_slice(field(f, job.layers.end - 1, j));
             }
         }
-        turn_out(job, band, sums);
+        turn_out(job, band, sums, columns);
     }
 }
 
