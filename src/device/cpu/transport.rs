@@ -255,9 +255,9 @@ fn pitch(batch: &Batch, fields: usize, cols: usize) -> usize {
     (batch.lanes.len() + if batch.axis == 0 { fields } else { 0 }) * stride(cols)
 }
 
-/// Rows of a band: as few bands as give every thread the same number, with their radiance within half a megabyte.
+/// Rows of a band: as few bands as give every thread the same number, with their radiance within a megabyte.
 fn height(rows: usize, pitch: usize) -> usize {
-    let fitting = ((1 << 19) / (8 * pitch)).max(BLOCK);
+    let fitting = ((1 << 20) / (8 * pitch)).max(BLOCK);
     let threads = rayon::current_num_threads();
     let bands = rows.div_ceil(fitting).next_multiple_of(threads);
     rows.div_ceil(bands).max(BLOCK.min(rows))

@@ -118,14 +118,14 @@ pub(super) fn step(step: &Step, thin: bool, out: &mut [f32], sums: &mut [f32]) {
     let up = (&step.up[WIDTH..][..n], &step.up[if ascending { WIDTH - 1 } else { WIDTH + 1 }..][..n]);
     let (depth_up, emitted_up) = (step.depth_up.feet(ascending, n), step.emitted_up.feet(ascending, n));
     let (phi, current) = sums.split_at_mut(n);
-    let row = match (ascending, thin) {
-        (true, true) => step_row::<true, true>,
-        (false, true) => step_row::<false, true>,
-        (true, false) => step_row::<true, false>,
-        (false, false) => step_row::<false, false>,
-    };
-    let (t, weight) = (step.t_col, lane.weight);
-    row(up, t, depth_up, step.depth, emitted_up, step.emitted, out, weight, phi);
+    let (t, weight, depth, emitted) = (step.t_col, lane.weight, step.depth, step.emitted);
+    // Called by name: through a pointer they would not be compiled for the instruction set at hand.
+    match (ascending, thin) {
+        (true, true) => step_row::<true, true>(up, t, depth_up, depth, emitted_up, emitted, out, weight, phi),
+        (false, true) => step_row::<false, true>(up, t, depth_up, depth, emitted_up, emitted, out, weight, phi),
+        (true, false) => step_row::<true, false>(up, t, depth_up, depth, emitted_up, emitted, out, weight, phi),
+        (false, false) => step_row::<false, false>(up, t, depth_up, depth, emitted_up, emitted, out, weight, phi),
+    }
     for (sum, omega) in current.chunks_exact_mut(n).zip(lane.omega) {
         add(weight * omega, out, sum);
     }
