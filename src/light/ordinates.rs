@@ -17,7 +17,14 @@
 //! however x was found, so acceleration and guesses need no proof of their own. Where ω* comes near 1 that is too
 //! pessimistic, for light also leaks out: then u = Φ(u) is solved roughly for a unit fluence of first collisions
 //! everywhere, and the error is at most `R · max u' / (1 − R_u)`, u' = Φ(u) and R_u the change that this pass made (A is an
-//! M-matrix; needs g ≤ ½). Certified errors are relative to the largest of φ and ΣE_l, up to rounding.
+//! M-matrix; needs |3g*| ≤ 1). Certified errors are relative to the largest of φ and ΣE_l, up to rounding; they bound the
+//! distance from the solution of the discrete equations, not that of the grid or the directions.
+//!
+//! # Known weaknesses
+//!
+//! Rays show near tiny bright sources. A medium that is dense right up to the faces of the box loses too much light there,
+//! to first order in the spacing: 7 % of the fluence of a cube of τ 16 and ω .99 that fills 32³ voxels, 2 % with a quarter
+//! of the box empty around it (both against Monte Carlo). Emission where there is no extinction at all is not carried.
 
 use glam::Vec3;
 

@@ -10,7 +10,7 @@ const LIMIT: u64 = 400;
 /// Passes without progress after which rounding is taken to be the reason.
 const PATIENCE: u64 = 8;
 
-/// Plain passes still to come from which on acceleration pays for its five extra volumes.
+/// Plain passes still to come above which acceleration pays for its inner products and mixtures.
 const ACCELERATE_ABOVE: f64 = 4.0;
 
 /// How an iteration ended.
