@@ -1,7 +1,7 @@
 //! Run-time choice of instruction set, and arithmetic that vectorises.
 //!
 //! A kernel is written once as an `#[inline(always)]` body over plain slices and compiled for each instruction set by
-//! [`dispatch!`]. No fused multiply-add is used in the bodies, so every instruction set gives the same bits.
+//! `dispatch!`. No fused multiply-add is used in the bodies, so every instruction set gives the same bits.
 
 use std::sync::OnceLock;
 
