@@ -13,6 +13,7 @@
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
 //! | [`source`], [`sink`] | file formats in, file formats out |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
+//! | [`savings`] | what the warm start saves, measured |
 //!
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
 
@@ -28,6 +29,7 @@ pub mod lights;
 pub mod medium;
 pub mod pipeline;
 pub mod render;
+pub mod savings;
 pub mod scene;
 pub mod session;
 pub mod sink;

@@ -104,7 +104,12 @@ fn open_sinks(scene: &Scene, outputs: &[String], steps: usize, field: &str) -> R
 }
 
 /// The range of values over all steps: the scene's, else what the file says, else from a pass over the selected steps.
-fn series_range(series: &dyn Series, indices: &[usize], scene: &Scene, stop: &AtomicBool) -> Result<Option<[f64; 2]>> {
+pub fn series_range(
+    series: &dyn Series,
+    indices: &[usize],
+    scene: &Scene,
+    stop: &AtomicBool,
+) -> Result<Option<[f64; 2]>> {
     if scene.field.range != RangeKey::Over(RangeOver::Series) {
         return Ok(None);
     }

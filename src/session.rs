@@ -55,6 +55,7 @@ impl Session {
     /// the scene leaves it to the series; `None` lets the range grow with the steps seen so far.
     pub fn new(device: Arc<dyn Device>, scene: Scene, range: Option<[f64; 2]>, wants_light: bool) -> Result<Self> {
         scene.validate()?;
+        LightSolver::check(&scene.light)?;
         let range = match scene.field.range {
             RangeKey::Fixed(range) => Some(range),
             RangeKey::Over(RangeOver::Series) => range,

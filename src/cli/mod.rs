@@ -16,6 +16,7 @@ mod memory;
 mod parse;
 mod progress;
 mod render;
+mod savings;
 mod series;
 
 /// Physically lit movies of time-varying volumes: each light solve starts from the previous step's light.
@@ -41,6 +42,7 @@ could not be read or lit, or an interruption: listed on stderr and in the ledger
 enum Command {
     Render(Box<render::RenderArgs>),
     Info(InfoArgs),
+    Savings(Box<savings::SavingsArgs>),
     Compare(compare::CompareArgs),
     Demo(demo::DemoArgs),
     Devices(devices::DevicesArgs),
@@ -104,7 +106,7 @@ enum Done {
 /// Runs the program.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    if matches!(cli.command, Command::Render(_) | Command::Devices(_)) {
+    if matches!(cli.command, Command::Render(_) | Command::Savings(_) | Command::Devices(_)) {
         devices::silence_loaders();
     }
     let bars = indicatif::MultiProgress::new();
@@ -118,6 +120,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Render(args) => render::run(*args, cli.loudness.quiet, bars),
         Command::Info(args) => info::run(&args.series.spec(), args.stats, args.probe, args.json).map(|()| Done::Whole),
+        Command::Savings(args) => savings::run(*args, cli.loudness.quiet, &bars),
         Command::Compare(args) => compare::run(&args).map(|()| Done::Whole),
         Command::Demo(args) => demo::run(&args, cli.loudness.quiet, &bars),
         Command::Devices(args) => devices::run(&args).map(|()| Done::Whole),

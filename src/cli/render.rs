@@ -100,7 +100,7 @@ impl RenderArgs {
 }
 
 /// What to open: the scene names the field where the command line does not, and picks the component.
-fn spec(args: SeriesArgs, scene: &Scene) -> SourceSpec {
+pub fn spec(args: SeriesArgs, scene: &Scene) -> SourceSpec {
     let mut spec = args.spec();
     spec.field = spec.field.or_else(|| scene.field.name.clone());
     spec.component = Some(match &scene.field.component {

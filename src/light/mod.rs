@@ -4,11 +4,11 @@
 //! survive steps. Each solve starts from what the volume holds.
 
 use crate::device::{Buffer, Device, Optic, Term, Weight};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
 use crate::medium::Medium;
-use crate::scene::{Interpolation, Scene, SolverKeys};
+use crate::scene::{Interpolation, Model, Scene, SolverKeys};
 
 mod direct;
 pub mod ordinates;
@@ -77,8 +77,23 @@ struct Optics {
 }
 
 impl LightSolver {
+    /// Refuses what this version does not solve.
+    pub fn check(keys: &SolverKeys) -> Result<()> {
+        if keys.model == Model::Paper {
+            return Err(Error::Unsupported("light.model = \"paper\": this version has \"physical\"".into()));
+        }
+        if keys.budget_ms.is_some() {
+            return Err(Error::Unsupported("light.budget_ms: this version solves to light.tolerance".into()));
+        }
+        Ok(())
+    }
+
     /// Allocates a solver for data on `data`.
+    ///
+    /// # Errors
+    /// Those of [`LightSolver::check`], and what the device says of the memory.
     pub fn new(device: &dyn Device, scene: &Scene, data: &Grid) -> Result<Self> {
+        Self::check(&scene.light)?;
         let keys = scene.light.clone();
         let grid = data.resized(SolverKeys::grid_size(keys.direct_resolution, data.size));
         let coarse = data.resized(SolverKeys::grid_size(keys.resolution, data.size));
