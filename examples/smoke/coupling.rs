@@ -16,6 +16,11 @@ use super::simulation::{Smoke, series::Series};
 /// What is shown, lit how, seen from where.
 const SCENE: &str = include_str!("scene.toml");
 
+/// The scene that the demo shows.
+pub fn scene() -> gloaming::Result<Scene> {
+    Scene::parse(SCENE, "scene.toml", &[])
+}
+
 /// Runs the simulation for `steps` steps and leaves a movie, frames, the illuminated volume, the ledger and the
 /// simulation's own series in `out`. `each` is told the number of steps done.
 pub fn run(out: &Path, size: usize, steps: usize, mut each: impl FnMut(usize)) -> Result<Summary> {
@@ -28,7 +33,7 @@ pub fn run(out: &Path, size: usize, steps: usize, mut each: impl FnMut(usize)) -
     let grid = Grid { size: smoke.size(), spacing: [spacing; 3], origin: [0.5 * spacing; 3] };
     let mut series = Series::create(&out.join("series.h5"), smoke.size(), spacing)?;
 
-    let scene = Scene::parse(SCENE, "scene.toml", &[])?;
+    let scene = scene()?;
     let device = Arc::new(Cpu::new(0)?);
     let mut lit = InSitu::open(scene, device, &outputs, Some(out.join("ledger.csv")), "density")?;
 

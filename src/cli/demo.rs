@@ -4,7 +4,11 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use gloaming::device::cpu::Cpu;
 use gloaming::ledger::LedgerRow;
+use gloaming::savings;
+use gloaming::scene::RangeKey;
+use gloaming::source::{self, SourceSpec};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::Done;
@@ -41,8 +45,45 @@ pub fn run(args: &DemoArgs, quiet: bool, bars: &MultiProgress) -> anyhow::Result
     for (step, why) in &summary.lost {
         eprintln!("step {step} lost: {why}");
     }
-    std::io::stdout().lock().write_all(told(&args.out, &summary.rows).as_bytes())?;
+    let mut told = told(&args.out, &summary.rows);
+    told += &measured(&args.out, &progress_bar(quiet, bars))?;
+    std::io::stdout().lock().write_all(told.as_bytes())?;
     Ok(if summary.lost.is_empty() { Done::Whole } else { Done::WithLosses })
+}
+
+/// Steps at the end of the series that are lit once more, cold and warm, for the report.
+const MEASURED: usize = 16;
+
+/// Lights the last steps of the series cold and warm, and writes the report.
+fn measured(out: &Path, bar: &ProgressBar) -> anyhow::Result<String> {
+    let scene = coupling::scene()?;
+    let series = out.join("series.h5").display().to_string();
+    let series = source::open(&SourceSpec { series: vec![series], ..Default::default() })?;
+    let count = series.info().steps.len();
+    let indices: Vec<usize> = (count.saturating_sub(MEASURED)..count).collect();
+    let range = match scene.field.range {
+        RangeKey::Fixed(range) => range,
+        RangeKey::Over(_) => [0.0, 1.0],
+    };
+    let found = savings::measure(&Cpu::new(0)?, &*series, &indices, &scene, range, &mut |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    savings::write_html(&found, &out.join("savings.html"))?;
+    Ok(format!(
+        "  the last {} steps lit both ways, cold / warm: time {:.2}, voxel updates {:.2}, iterations {:.2}\n",
+        found.steps.len(),
+        found.ratio.seconds,
+        found.ratio.voxel_updates,
+        found.ratio.iterations
+    ))
+}
+
+/// A bar for the measurement, on a terminal.
+fn progress_bar(quiet: bool, bars: &MultiProgress) -> ProgressBar {
+    if quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:24.cyan} {pos}/{len} steps measured, cold and warm");
+    bars.add(ProgressBar::new(MEASURED as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())))
 }
 
 /// How far the simulation is: a bar on a terminal, now and then a line elsewhere.
@@ -89,6 +130,7 @@ fn told(out: &Path, rows: &[LedgerRow]) -> String {
         ("series.h5", format!("what the simulation wrote; gloaming info {}", out.join("series.h5").display())),
         ("light.vtkhdf", "the illuminated volume, for ParaView".into()),
         ("ledger.csv", "what every step cost".into()),
+        ("savings.html", "cold against warm, step by step".into()),
     ];
     let name = |file: &str| out.join(file).display().to_string();
     let width = files.iter().map(|(file, _)| name(file).len()).max().unwrap_or(0);

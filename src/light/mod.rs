@@ -120,7 +120,10 @@ impl LightSolver {
         let mut report = SolveReport { converged: true, ..Default::default() };
         self.sigma.swap(0, 1);
         let [now, before] = &mut self.sigma;
-        device.classify(Optic::Extinction, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
+        // With multiple scattering the forward peak counts as unscattered (delta-Eddington), in what the eye sees too.
+        let f = if self.keys.scattering { self.anisotropy * self.anisotropy } else { 0.0 };
+        let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
+        device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
         let change = if warm {
             report.voxel_updates += self.grid.len() as u64;
