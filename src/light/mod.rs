@@ -151,6 +151,9 @@ impl LightSolver {
         report: &mut SolveReport,
     ) -> Result<()> {
         let cubic = self.keys.interpolation == Interpolation::Cubic;
+        // An error of direct light comes back from scattering up to 1/(1 − ω) times, and a sweep costs less than one ordinate's:
+        // where light scatters on, only what is the same to the bit is left alone.
+        let tolerance = if self.keys.scattering { 0.0 } else { self.keys.tolerance };
         let distant: Vec<_> = distant(lights).collect();
         let total: f32 = distant.iter().map(|(_, e)| brightest(*e)).sum();
         volume.direct.truncate(distant.len());
@@ -164,7 +167,7 @@ impl LightSolver {
                 }
             }
             let kept = &mut volume.direct[n];
-            let done = kept.solve(device, &self.grid, &self.layout, &self.sigma[0], change, self.keys.tolerance)?;
+            let done = kept.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
             report.bricks_active += done.bricks_active;
             report.bricks_total += done.bricks_total;
             report.voxel_updates += done.voxels;
