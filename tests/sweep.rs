@@ -2,7 +2,9 @@
 
 use glam::Vec3;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Device, Sweep};
+use gloaming::device::{Device, Optic, Sweep};
+use gloaming::scene::Scene;
+use gloaming::transfer::TransferFunction;
 use gloaming::{BrickLayout, Grid};
 
 /// The equation in f64 over the whole grid, layer by layer: no bricks, no halos.
@@ -260,5 +262,68 @@ fn all_lit_faces_are_lit() {
     for d in DIRECTIONS {
         let rho = solve(&cpu, &grid, Vec3::from(d).normalize(), false, 8, &sigma);
         assert!(rho.iter().all(|&r| (r - 1.0).abs() < 1e-5), "vacuum dims light along {d:?}");
+    }
+}
+
+/// validation.md 2: a shadow does not depend on the resolution of the light grid, because extinction is averaged after the
+/// transfer function.
+#[test]
+fn the_shadow_is_the_same_at_half_one_and_two_times_the_resolution() {
+    let cpu = Cpu::new(2).unwrap();
+    let n = 48;
+    let data = Grid::new([n; 3]);
+    let scene = Scene::load(None, &["transfer.opacity=[[0,0],[0.4,0.02],[1,0.3]]".into()]).unwrap();
+    let table = TransferFunction::new(&scene.transfer).unwrap().table([0.0, 1.0], 1.0);
+    let values: Vec<f32> = (0..data.len())
+        .map(|i| {
+            let p = Vec3::new((i % n) as f32, (i / n % n) as f32, (i / n / n) as f32) - 23.5;
+            (-p.length_squared() / 120.0).exp()
+        })
+        .collect();
+    let mut field = cpu.alloc(data.len()).unwrap();
+    cpu.upload(&values, &mut field).unwrap();
+    // Mean transmittance of 4×4×4 data voxels, on every light grid.
+    let shadow = |size: usize, u: Vec3| -> Vec<f32> {
+        let grid = data.resized([size; 3]);
+        let mut sigma = cpu.alloc(grid.len()).unwrap();
+        cpu.classify(Optic::Extinction, &table, data.size, &field, grid.size, &mut sigma).unwrap();
+        let mut out = vec![0.0; grid.len()];
+        cpu.download(&sigma, &mut out).unwrap();
+        let rho = solve(&cpu, &grid, u, false, 16, &out);
+        let (mut fine, mut coarse) = (cpu.alloc(grid.len()).unwrap(), cpu.alloc(12 * 12 * 12).unwrap());
+        cpu.upload(&rho, &mut fine).unwrap();
+        cpu.restrict(grid.size, &fine, [12; 3], &mut coarse).unwrap();
+        let mut mean = vec![0.0; 12 * 12 * 12];
+        cpu.download(&coarse, &mut mean).unwrap();
+        mean
+    };
+    for u in [Vec3::NEG_Z, Vec3::X, Vec3::new(0.3, 0.5, -0.8).normalize()] {
+        let one = shadow(n, u);
+        assert!(one.iter().any(|&t| t < 0.2), "there is a shadow along {u}");
+        for size in [n / 2, 2 * n] {
+            let other = shadow(size, u);
+            let differences = || other.iter().zip(&one).map(|(a, b)| (a - b).abs());
+            let rms = (differences().map(|d| d * d).sum::<f32>() / one.len() as f32).sqrt();
+            assert!(rms < 0.012, "along {u} the shadow at {size}³ differs by {rms} (root mean square)");
+            // Oblique light also smears by the foot's interpolation, which is the grid's: its edge may differ by more.
+            let worst = differences().fold(0.0, f32::max);
+            let axial = u.abs().max_element() == 1.0;
+            assert!(!axial || worst < 0.03, "along {u} the shadow at {size}³ differs by {worst}");
+        }
+    }
+}
+
+/// validation.md 2: σ → T → τ is the identity through the transfer function's opacity per reference length.
+#[test]
+fn opacity_to_extinction_to_transmittance_is_the_identity() {
+    let cpu = Cpu::new(1).unwrap();
+    let grid = Grid { size: [4, 4, 32], spacing: [0.5; 3], origin: [0.0; 3] };
+    for opacity in [0.05f32, 0.3, 0.7] {
+        let scene = Scene::load(None, &[format!("transfer.opacity=[[0,{opacity}],[1,{opacity}]]")]).unwrap();
+        let table = TransferFunction::new(&scene.transfer).unwrap().table([0.0, 1.0], grid.mean_spacing());
+        let rho = solve(&cpu, &grid, Vec3::Z, false, 8, &vec![table.extinction[512]; grid.len()]);
+        // Between the centres of two voxels lies one reference length.
+        let (a, b) = (rho[grid.index([2, 2, 3])], rho[grid.index([2, 2, 4])]);
+        assert!((b / a - (1.0 - opacity)).abs() < 1e-5, "opacity {opacity}: {}", 1.0 - b / a);
     }
 }
