@@ -155,13 +155,15 @@ fn drive(
     let (read_tx, read_rx) = bounded(DEPTH);
     let (write_tx, write_rx) = bounded(DEPTH);
     std::thread::scope(|scope| {
-        scope.spawn(move || read_ahead(steps, read_tx, stop));
+        let reader = scope.spawn(move || read_ahead(steps, read_tx, stop));
         let writer = scope.spawn(move || write_behind(write_rx, sinks, ledger, total, progress));
         let lit = light_up(&mut session, read_rx, write_tx, stop);
         let written = writer.join().unwrap_or_else(|_| Err(Error::Closed("the writing thread died".into())));
         // A failing sink closes the channel to it; its own error says more than the closed channel does.
         let mut summary = written?;
         lit?;
+        // Without this a reader that died would look like a series that ended.
+        reader.join().map_err(|_| Error::Closed("the reading thread died".into()))?;
         summary.interrupted = stop.load(Ordering::Relaxed) && total.is_none_or(|t| summary.rows.len() < t);
         if let (0, false, Some((step, why))) = (summary.done, summary.interrupted, summary.lost.first()) {
             return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));

@@ -148,6 +148,26 @@ fn a_series_without_a_readable_step_fails_with_the_reason() {
     assert!(error.contains("plt_00007.h5"), "{error}");
 }
 
+/// A bug in a reader is an error, not a series that ends early.
+#[test]
+fn a_reader_that_dies_is_an_error() {
+    struct Dies;
+    impl Field for Dies {
+        fn read(&self, _: Region, _: &mut [f32]) -> Result<()> {
+            panic!("a bug in a reader")
+        }
+    }
+    let out = tempfile::tempdir().unwrap();
+    let target = out.path().join("f_{step:06}.png").to_str().unwrap().to_string();
+    let mut lit = InSitu::open(scene(&[]), Arc::new(Cpu::new(1).unwrap()), &[target], None, "density").unwrap();
+    let grid = Grid::new([8; 3]);
+    let good = Timestep { step: 0, time: None, grid, field: Arc::new(Dense::new(grid.size, vec![0.5; grid.len()])) };
+    lit.push(good.clone()).unwrap();
+    let _ = lit.push(Timestep { step: 1, field: Arc::new(Dies), ..good });
+    assert!(matches!(lit.close(), Err(Error::Closed(why)) if why.contains("died")));
+    assert!(out.path().join("f_000000.png").exists(), "what was done before stays");
+}
+
 #[test]
 fn an_empty_selection_names_the_way_out() {
     let out = tempfile::tempdir().unwrap();
