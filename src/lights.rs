@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::{DVec3, Vec3};
 
 use crate::error::{Error, Result};
-use crate::scene::{LightKeys, LightKind, Scene};
+use crate::scene::{LightKeys, LightKind, Model, Scene};
 
 /// A light source in world space.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +16,30 @@ pub enum Light {
         direction: Vec3,
         /// Irradiance on a facing plane per channel.
         irradiance: [f32; 3],
+    },
+    /// From one place in all directions.
+    Point {
+        /// World position.
+        position: DVec3,
+        /// Radius of the source, world length: 1/r² is held at 1/radius² nearer than this.
+        radius: f64,
+        /// Radiant intensity per channel, power/4π: irradiance at distance r in vacuum is intensity/r².
+        intensity: [f32; 3],
+    },
+    /// From one place within a cone.
+    Cone {
+        /// World position of the tip.
+        position: DVec3,
+        /// The way the light travels along the axis, unit.
+        direction: Vec3,
+        /// Half angle in radians, above 0, at most π/2.
+        angle: f32,
+        /// Angle in radians, measured inwards from the half angle, over which the light fades.
+        edge: f32,
+        /// As of a point light.
+        radius: f64,
+        /// As of a point light, within the cone: a narrower cone takes light away and does not bundle it.
+        intensity: [f32; 3],
     },
     /// The same radiance from all directions.
     Environment {
@@ -42,11 +66,22 @@ pub fn resolve(scene: &Scene) -> Result<Vec<Light>> {
         match keys.kind {
             LightKind::Distant => lights.extend(distant(keys, strength)),
             LightKind::Environment => lights.push(Light::Environment { radiance: strength }),
-            LightKind::Point | LightKind::Cone => {
+            LightKind::Point | LightKind::Cone if scene.light.model == Model::Physical => {
                 return Err(Error::Unsupported(
                     "point and cone lights: this version has \"distant\" and \"environment\" lights".into(),
                 ));
             }
+            LightKind::Point => {
+                lights.push(Light::Point { position: keys.position.into(), radius: keys.radius, intensity: strength });
+            }
+            LightKind::Cone => lights.push(Light::Cone {
+                position: keys.position.into(),
+                direction: DVec3::from(keys.direction).normalize().as_vec3(),
+                angle: keys.angle.to_radians() as f32,
+                edge: keys.edge.min(keys.angle).to_radians() as f32,
+                radius: keys.radius,
+                intensity: strength,
+            }),
         }
     }
     Ok(lights)

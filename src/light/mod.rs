@@ -292,7 +292,7 @@ impl LightVolume {
 fn distant(lights: &[Light]) -> impl Iterator<Item = (glam::Vec3, [f32; 3])> {
     lights.iter().filter_map(|l| match *l {
         Light::Distant { direction, irradiance } => Some((direction, irradiance)),
-        Light::Environment { .. } => None,
+        Light::Point { .. } | Light::Cone { .. } | Light::Environment { .. } => None,
     })
 }
 
@@ -300,7 +300,7 @@ fn distant(lights: &[Light]) -> impl Iterator<Item = (glam::Vec3, [f32; 3])> {
 fn environment(lights: &[Light]) -> [f32; 3] {
     lights.iter().fold([0.0; 3], |sum, l| match l {
         Light::Environment { radiance } => std::array::from_fn(|c| sum[c] + radiance[c]),
-        Light::Distant { .. } => sum,
+        Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } => sum,
     })
 }
 

@@ -18,6 +18,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("lights.position", "[x, y, z], finite"),
     ("lights.radius", "a world length, 0 or more"),
     ("lights.angle", "degrees above 0, at most 90"),
+    ("lights.edge", "degrees, 0 or more, at most the angle"),
     ("lights.color", "[red, green, blue], each finite and 0 or more"),
     ("lights.intensity", "a finite number, 0 or more"),
     ("lights.softness", "degrees from 0 to 90"),

@@ -152,10 +152,12 @@ pub struct LightKeys {
     pub direction: [f64; 3],
     /// Where a point or cone light is.
     pub position: [f64; 3],
-    /// Radius of a point light, world length.
+    /// Radius of a point or cone light, world length.
     pub radius: f64,
     /// Half angle of a cone light in degrees.
     pub angle: f64,
+    /// Degrees inside the half angle over which a cone light fades.
+    pub edge: f64,
     /// Colour per channel.
     pub color: [f32; 3],
     /// Distant: irradiance on a facing plane; point, cone: power/4π; environment: radiance.
@@ -174,6 +176,7 @@ impl Default for LightKeys {
             position: [0.0; 3],
             radius: 0.0,
             angle: 30.0,
+            edge: 0.0,
             color: [1.0; 3],
             intensity: 3.0,
             softness: 0.0,

@@ -4,8 +4,8 @@ use std::fmt::Debug;
 
 use super::allowed::allowed;
 use super::{
-    CameraKeys, ComponentKey, FieldKeys, LightKeys, LightKind, MovieKeys, RangeKey, RenderKeys, RenderKind, Scene,
-    SolverKeys, TransferKeys,
+    CameraKeys, ComponentKey, FieldKeys, LightKeys, LightKind, Model, MovieKeys, RangeKey, RenderKeys, RenderKind,
+    Scene, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -19,7 +19,7 @@ impl Scene {
     pub fn validate(&self) -> Result<()> {
         field(&self.field)?;
         transfer(&self.transfer)?;
-        self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys))?;
+        self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys, self.light.model))?;
         solver(&self.light)?;
         self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys))?;
         for (i, keys) in self.cameras.iter().enumerate() {
@@ -88,9 +88,9 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
     TransferFunction::new(keys).map(drop)
 }
 
-fn light(i: usize, keys: &LightKeys) -> Result<()> {
+fn light(i: usize, keys: &LightKeys, model: Model) -> Result<()> {
     let key = |name: &str| format!("lights.{i}.{name}");
-    if matches!(keys.kind, LightKind::Point | LightKind::Cone) {
+    if model == Model::Physical && matches!(keys.kind, LightKind::Point | LightKind::Cone) {
         let kind = if keys.kind == LightKind::Point { "point" } else { "cone" };
         return Err(Error::Unsupported(format!(
             "{} = \"{kind}\": this version has \"distant\" and \"environment\" lights",
@@ -107,6 +107,7 @@ fn light(i: usize, keys: &LightKeys) -> Result<()> {
     require(finite3(keys.position), &key("position"), keys.position)?;
     require(keys.radius >= 0.0 && keys.radius.is_finite(), &key("radius"), keys.radius)?;
     require(keys.angle > 0.0 && keys.angle <= 90.0, &key("angle"), keys.angle)?;
+    require((0.0..=keys.angle).contains(&keys.edge), &key("edge"), keys.edge)?;
     require(keys.color.into_iter().all(nonnegative), &key("color"), keys.color)?;
     require(nonnegative(keys.intensity), &key("intensity"), keys.intensity)?;
     require((0.0..=90.0).contains(&keys.softness), &key("softness"), keys.softness)
