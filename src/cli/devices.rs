@@ -1,13 +1,12 @@
 //! `gloaming devices`: what this machine can compute on, and the choice among it.
 
 use std::io::Write;
-use std::sync::Arc;
 
 use clap::Args;
-use gloaming::device::Device;
 use gloaming::device::cpu::{Cpu, simd};
 #[cfg(feature = "gpu")]
-use gloaming::device::gpu::{self, Gpu};
+use gloaming::device::gpu;
+use gloaming::device::{self, Device};
 use serde_json::{Value, json};
 
 /// List what this machine can compute on
@@ -27,7 +26,7 @@ pub struct DevicesArgs {
 pub fn run(args: &DevicesArgs) -> anyhow::Result<()> {
     let cpu = Cpu::new(0)?;
     let (name, threads) = (cpu.name(), cpu.threads());
-    let automatic = open("auto")?.name();
+    let automatic = device::open("auto", 0)?.name();
     let mut out = std::io::stdout().lock();
     if args.json {
         let level = format!("{:?}", simd::level()).to_lowercase();
@@ -94,42 +93,3 @@ pub fn silence_loaders() {
 /// Nothing to silence here.
 #[cfg(not(all(feature = "gpu", unix)))]
 pub fn silence_loaders() {}
-
-/// The device that `--device` names: `auto` takes a hardware GPU where there is one, else the CPU.
-pub fn open(choice: &str) -> gloaming::Result<Arc<dyn Device>> {
-    match choice {
-        "auto" => match hardware() {
-            Some(gpu) => Ok(gpu),
-            None => Ok(Arc::new(Cpu::new(0)?)),
-        },
-        "cpu" => Ok(Arc::new(Cpu::new(0)?)),
-        "gpu" => open_gpu(None),
-        name => open_gpu(Some(name)),
-    }
-}
-
-#[cfg(feature = "gpu")]
-fn hardware() -> Option<Arc<dyn Device>> {
-    match Gpu::hardware() {
-        Ok(gpu) => gpu.map(|gpu| Arc::new(gpu) as Arc<dyn Device>),
-        Err(e) => {
-            tracing::debug!("{e}");
-            None
-        }
-    }
-}
-
-#[cfg(not(feature = "gpu"))]
-fn hardware() -> Option<Arc<dyn Device>> {
-    None
-}
-
-#[cfg(feature = "gpu")]
-fn open_gpu(name: Option<&str>) -> gloaming::Result<Arc<dyn Device>> {
-    Ok(Arc::new(Gpu::open(name)?))
-}
-
-#[cfg(not(feature = "gpu"))]
-fn open_gpu(_: Option<&str>) -> gloaming::Result<Arc<dyn Device>> {
-    Err(gloaming::Error::Device("built without GPU support (feature `gpu`)\n  try: --device cpu".into()))
-}

@@ -14,7 +14,7 @@ use indicatif::{HumanDuration, MultiProgress};
 use super::parse::{self, Steps};
 use super::progress::Report;
 use super::series::SeriesArgs;
-use super::{Done, devices, memory};
+use super::{Done, memory};
 
 /// Light a series and write movies, frames or the illuminated volume
 #[derive(Args)]
@@ -132,7 +132,7 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
             return Err(Error::OutOfMemory { needed, budget }.into());
         }
     }
-    let device = devices::open(&device)?;
+    let device = gloaming::device::open(&device, 0)?;
     tracing::info!("{}, {} steps of `{}` on {}", info.layout, indices.len(), info.field, device.name());
 
     let total = indices.len();

@@ -9,10 +9,10 @@ use gloaming::scene::{RangeKey, Scene};
 use gloaming::{pipeline, savings, source};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
+use super::Done;
 use super::parse::Steps;
 use super::render::spec;
 use super::series::SeriesArgs;
-use super::{Done, devices};
 
 /// Measure what the warm start saves: each step lit cold and warm in one process, and held against a tight solve
 #[derive(Args)]
@@ -58,7 +58,7 @@ pub fn run(args: SavingsArgs, quiet: bool, bars: &MultiProgress) -> anyhow::Resu
         Some(steps) => steps.select(info.steps.iter().map(|s| s.step)),
         None => (0..info.steps.len()).collect(),
     };
-    let device = devices::open(&args.device)?;
+    let device = gloaming::device::open(&args.device, 0)?;
     let range = match scene.field.range {
         RangeKey::Fixed(range) => range,
         RangeKey::Over(_) => {

@@ -15,6 +15,9 @@ use crate::transfer::Table;
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod open;
+
+pub use open::open;
 
 /// A dense array of f32 where the device can work on it. Made by [`Device::alloc`]; used only with the device that made it.
 pub struct Buffer(pub(crate) Storage);
