@@ -1,20 +1,21 @@
-//! Light: direct and scattered, kept from step to step.
+//! Light: kept from step to step, by the model that the scene asks for.
 //!
-//! The *solver* holds what a solve needs (extinction now and before, scratch); the [`LightVolume`] holds the unknowns that
-//! survive steps. Each solve starts from what the volume holds.
+//! A *solver* holds what a solve needs (extinction now and before, scratch); the [`LightVolume`] holds the unknowns that
+//! survive steps. Each solve starts from what the volume holds. Each model has a file of its own.
 
-use crate::device::{Buffer, Device, Optic, Term, Weight};
+use crate::device::{Device, Term};
 use crate::error::{Error, Result};
-use crate::grid::{BrickLayout, Grid};
+use crate::grid::Grid;
 use crate::lights::Light;
 use crate::medium::Medium;
-use crate::scene::{Interpolation, Model, Scene, SolverKeys};
+use crate::scene::{Model, Scene, SolverKeys};
 
 mod direct;
 pub mod ordinates;
+mod physical;
 
 pub use direct::{Direct, DirectReport};
-use ordinates::{ScatterProblem, Scattered};
+use physical::Physical;
 
 /// The light of one step: fluence per colour channel on the light grid.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,11 +29,8 @@ pub struct IlluminatedVolume {
 /// The light of the latest step; what the next solve starts from.
 #[derive(Default)]
 pub struct LightVolume {
-    direct: Vec<Direct>,
-    scattered: Option<Scattered>,
     lights: Vec<Light>,
-    grid: Option<Grid>,
-    anisotropy: f32,
+    physical: physical::Unknowns,
 }
 
 /// What one solve did and how good its result is.
@@ -57,24 +55,7 @@ pub struct SolveReport {
 }
 
 /// Solves the light of one step after another.
-pub struct LightSolver {
-    keys: SolverKeys,
-    anisotropy: f32,
-    grid: Grid,
-    coarse: Grid,
-    layout: BrickLayout,
-    sigma: [Buffer; 2],
-    solved: bool,
-    optics: Option<Optics>,
-}
-
-/// Optics and first-collision light on the grid of scattered light.
-struct Optics {
-    sigma: Buffer,
-    scattering: Vec<Buffer>,
-    emission: Vec<Buffer>,
-    first: Vec<Buffer>,
-}
+pub struct LightSolver(Physical);
 
 impl LightSolver {
     /// Refuses what this version does not solve.
@@ -94,19 +75,7 @@ impl LightSolver {
     /// Those of [`LightSolver::check`], and what the device says of the memory.
     pub fn new(device: &dyn Device, scene: &Scene, data: &Grid) -> Result<Self> {
         Self::check(&scene.light)?;
-        let keys = scene.light.clone();
-        let grid = data.resized(SolverKeys::grid_size(keys.direct_resolution, data.size));
-        let coarse = data.resized(SolverKeys::grid_size(keys.resolution, data.size));
-        Ok(LightSolver {
-            anisotropy: scene.transfer.anisotropy,
-            layout: BrickLayout::new(grid.size, BrickLayout::EDGE),
-            sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
-            solved: false,
-            optics: None,
-            keys,
-            grid,
-            coarse,
-        })
+        Ok(LightSolver(Physical::new(device, scene, data)?))
     }
 
     /// Solves the light of `medium` under `lights`, starting from what `volume` holds.
@@ -117,202 +86,24 @@ impl LightSolver {
         lights: &[Light],
         volume: &mut LightVolume,
     ) -> Result<SolveReport> {
-        let mut report = SolveReport { converged: true, ..Default::default() };
-        self.sigma.swap(0, 1);
-        let [now, before] = &mut self.sigma;
-        // With multiple scattering the forward peak counts as unscattered (delta-Eddington), in what the eye sees too.
-        let f = if self.keys.scattering { self.anisotropy * self.anisotropy } else { 0.0 };
-        let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
-        device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
-        let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
-        let change = if warm {
-            report.voxel_updates += self.grid.len() as u64;
-            Some(device.change(&self.layout, now, before)?)
-        } else {
-            None
-        };
-        volume.grid = Some(self.grid);
         volume.lights = lights.to_vec();
-        volume.anisotropy = self.anisotropy;
-        report.warm = warm;
-        self.direct(device, lights, change.as_deref(), volume, &mut report)?;
-        self.scattered(device, medium, lights, warm, volume, &mut report)?;
-        self.solved = true;
-        Ok(report)
+        self.0.solve(device, medium, lights, &mut volume.physical)
     }
 
-    /// Direct light of every distant light.
-    fn direct(
-        &mut self,
-        device: &dyn Device,
-        lights: &[Light],
-        change: Option<&[[f32; 3]]>,
-        volume: &mut LightVolume,
-        report: &mut SolveReport,
-    ) -> Result<()> {
-        let cubic = self.keys.interpolation == Interpolation::Cubic;
-        // An error of direct light comes back from scattering up to 1/(1 − ω) times, and a sweep costs less than one ordinate's:
-        // where light scatters on, only what is the same to the bit is left alone.
-        let tolerance = if self.keys.scattering { 0.0 } else { self.keys.tolerance };
-        let distant: Vec<_> = distant(lights).collect();
-        let total: f32 = distant.iter().map(|(_, e)| brightest(*e)).sum();
-        volume.direct.truncate(distant.len());
-        for (n, (direction, irradiance)) in distant.into_iter().enumerate() {
-            if volume.direct.get(n).is_none_or(|d| !d.fits(&self.grid, direction, cubic)) {
-                let fresh = Direct::new(device, &self.grid, &self.layout, direction, cubic)?;
-                if n < volume.direct.len() {
-                    volume.direct[n] = fresh;
-                } else {
-                    volume.direct.push(fresh);
-                }
-            }
-            let kept = &mut volume.direct[n];
-            let done = kept.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
-            report.bricks_active += done.bricks_active;
-            report.bricks_total += done.bricks_total;
-            report.voxel_updates += done.voxels;
-            report.sweeps += done.voxels as f64 / self.grid.len() as f64;
-            if total > 0.0 {
-                report.certified_error += f64::from(done.certified_error * brightest(irradiance) / total);
-            }
-        }
-        Ok(())
-    }
-
-    /// Scattered light, and the uncollided light of the environment.
-    fn scattered(
-        &mut self,
-        device: &dyn Device,
-        medium: &Medium,
-        lights: &[Light],
-        warm: bool,
-        volume: &mut LightVolume,
-        report: &mut SolveReport,
-    ) -> Result<()> {
-        let environment = environment(lights);
-        if !self.keys.scattering && environment == [0.0; 3] {
-            volume.scattered = None;
-            return Ok(());
-        }
-        let channels = if gray(medium, lights) { 1 } else { 3 };
-        let glows = !medium.table.emission.is_empty();
-        let f = self.anisotropy * self.anisotropy;
-        let fits = |o: &Optics| {
-            o.scattering.len() == channels && o.emission.is_empty() != glows && o.first.len() == volume.direct.len()
-        };
-        if !self.optics.as_ref().is_some_and(fits) {
-            let buffer = || device.alloc(self.coarse.len());
-            let buffers = |n: usize| (0..n).map(|_| buffer()).collect::<Result<Vec<_>>>();
-            self.optics = Some(Optics {
-                sigma: buffer()?,
-                scattering: buffers(channels)?,
-                emission: buffers(if glows { channels } else { 0 })?,
-                first: buffers(volume.direct.len())?,
-            });
-        }
-        let optics = self.optics.as_mut().expect("just made");
-        let classify = |optic, out: &mut Buffer| {
-            device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.coarse.size, out)
-        };
-        classify(Optic::ScaledExtinction { f }, &mut optics.sigma)?;
-        for (channel, out) in optics.scattering.iter_mut().enumerate() {
-            classify(Optic::Scattering { channel }, out)?;
-        }
-        for (channel, out) in optics.emission.iter_mut().enumerate() {
-            classify(Optic::Emission { channel }, out)?;
-        }
-        for (direct, out) in volume.direct.iter().zip(&mut optics.first) {
-            device.restrict(self.grid.size, &direct.rho, self.coarse.size, out)?;
-        }
-        let first: Vec<_> =
-            optics.first.iter().zip(distant(lights)).map(|(rho, (direction, e))| (rho, e, direction)).collect();
-        let problem = ScatterProblem {
-            sigma: &optics.sigma,
-            scattering: &optics.scattering,
-            emission: &optics.emission,
-            first: &first,
-            environment,
-            anisotropy: self.anisotropy,
-            directions: self.keys.directions,
-            tolerance: self.keys.tolerance,
-            warm,
-            scattering_on: self.keys.scattering,
-        };
-        if volume.scattered.as_ref().is_none_or(|s| !s.fits(&self.coarse, channels, self.anisotropy)) {
-            volume.scattered = Some(Scattered::new(device, self.coarse, channels, self.anisotropy)?);
-        }
-        let done = volume.scattered.as_mut().expect("just made").solve(device, &problem)?;
-        report.iterations = done.iterations;
-        report.sweeps += done.sweeps;
-        report.voxel_updates += done.voxel_updates;
-        report.certified_error += done.certified_error;
-        report.converged = done.converged;
-        Ok(())
-    }
-
-    /// The fluence of the latest solve on the grid of scattered light (light grid, `light.resolution`).
+    /// The fluence of the latest solve on the light grid, `light.resolution`.
     pub fn illuminated(&self, device: &dyn Device, volume: &LightVolume) -> Result<IlluminatedVolume> {
-        let mut first = Vec::new();
-        for direct in &volume.direct {
-            let mut out = device.alloc(self.coarse.len())?;
-            device.restrict(self.grid.size, &direct.rho, self.coarse.size, &mut out)?;
-            first.push(out);
-        }
-        let mut terms: Vec<(&Buffer, [f32; 3])> =
-            first.iter().zip(distant(&volume.lights)).map(|(rho, (_, e))| (rho, e)).collect();
-        if let Some(scattered) = &volume.scattered {
-            terms.extend(scattered.fluence());
-        }
-        let mut fluence = vec![[0.0; 3]; self.coarse.len()];
-        device.compose(&terms, &mut fluence)?;
-        Ok(IlluminatedVolume { grid: self.coarse, fluence })
+        self.0.illuminated(device, &volume.lights, &volume.physical)
     }
 }
 
 impl LightVolume {
-    /// The light as the ray caster takes it: one term for each light, and those of scattered light.
+    /// The light as the ray caster takes it.
     pub fn terms(&self) -> Vec<Term<'_>> {
-        let Some(grid) = &self.grid else { return vec![] };
-        let g = self.anisotropy;
-        let direct = self.direct.iter().zip(distant(&self.lights)).map(|(d, (direction, irradiance))| Term {
-            values: &d.rho,
-            grid,
-            weight: Weight::Phase { direction, irradiance, g },
-        });
-        let scattered = self.scattered.iter().flat_map(|s| s.terms());
-        direct.chain(scattered).collect()
+        self.physical.terms(&self.lights)
     }
 
     /// The lights of the latest solve.
     pub fn lights(&self) -> &[Light] {
         &self.lights
     }
-}
-
-fn distant(lights: &[Light]) -> impl Iterator<Item = (glam::Vec3, [f32; 3])> {
-    lights.iter().filter_map(|l| match *l {
-        Light::Distant { direction, irradiance } => Some((direction, irradiance)),
-        Light::Point { .. } | Light::Cone { .. } | Light::Environment { .. } => None,
-    })
-}
-
-/// Radiance of all environment lights together.
-fn environment(lights: &[Light]) -> [f32; 3] {
-    lights.iter().fold([0.0; 3], |sum, l| match l {
-        Light::Environment { radiance } => std::array::from_fn(|c| sum[c] + radiance[c]),
-        Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } => sum,
-    })
-}
-
-fn brightest(rgb: [f32; 3]) -> f32 {
-    rgb.into_iter().fold(0.0, f32::max)
-}
-
-/// True when one channel stands for all three: medium and lights are gray.
-fn gray(medium: &Medium, lights: &[Light]) -> bool {
-    let even = |c: [f32; 3]| c[0] == c[1] && c[1] == c[2];
-    medium.table.gray()
-        && medium.table.emission.iter().all(|e| even(*e))
-        && distant(lights).all(|(_, e)| even(e))
-        && even(environment(lights))
 }
