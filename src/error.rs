@@ -52,6 +52,9 @@ pub enum Error {
     /// The other end of the pipeline is gone, or the session was closed.
     #[error("closed: {0}")]
     Closed(String),
+    /// A fault of gloaming's own, or of a sink or device that it was given: a panic that was caught.
+    #[error("a bug: {0}")]
+    Bug(String),
 }
 
 /// Shorthand for results of this crate.

@@ -7,22 +7,25 @@
 //!
 //! | module | what it holds |
 //! | --- | --- |
-//! | [`error`], [`grid`], [`field`] | errors by who can act; grids, regions and bricks; timesteps readable by region |
+//! | [`error`], [`grid`], [`dtype`], [`field`] | errors by who can act; grids, regions and bricks; types of numbers; timesteps readable by region |
 //! | [`transfer`], [`lights`], [`camera`], [`scene`] | what the user describes: the TOML scene file |
 //! | [`device`] | kernels: arithmetic on voxels and rays, on the CPU and as WGSL |
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
 //! | [`source`], [`sink`] | file formats in, file formats out |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
+//! | [`insitu`] | a running simulation that hands over its steps |
 //! | [`savings`] | what the warm start saves, measured |
 //!
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
 
 pub mod camera;
 pub mod device;
+pub mod dtype;
 pub mod error;
 pub mod field;
 pub mod frame;
 pub mod grid;
+pub mod insitu;
 pub mod ledger;
 pub mod light;
 pub mod lights;

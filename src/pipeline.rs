@@ -7,7 +7,6 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -92,7 +91,7 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
 }
 
 /// Opens one sink for each target.
-fn open_sinks(scene: &Scene, outputs: &[String], steps: usize, field: &str) -> Result<Vec<Box<dyn Sink>>> {
+pub(crate) fn open_sinks(scene: &Scene, outputs: &[String], steps: usize, field: &str) -> Result<Vec<Box<dyn Sink>>> {
     let options = SinkOptions {
         steps,
         field: field.into(),
@@ -272,59 +271,4 @@ fn write_behind(
         outcome = outcome.and(sink.finish());
     }
     outcome.map(|()| summary)
-}
-
-/// A running simulation's end of the pipeline: steps go in, frames and movies come out, lit on a thread of its own.
-pub struct InSitu {
-    steps: Option<Sender<Timestep>>,
-    worker: Option<JoinHandle<Result<Summary>>>,
-}
-
-impl InSitu {
-    /// Opens a session that lights what is pushed.
-    pub fn open(
-        scene: Scene,
-        device: Arc<dyn Device>,
-        outputs: &[String],
-        ledger: Option<PathBuf>,
-        field: &str,
-    ) -> Result<InSitu> {
-        let sinks = open_sinks(&scene, outputs, 0, field)?;
-        let wants_light = sinks.iter().any(|s| s.wants_light());
-        let session = Session::new(device, scene, None, wants_light)?;
-        let (tx, rx) = bounded::<Timestep>(DEPTH);
-        let run = move || {
-            let stop = AtomicBool::new(false);
-            drive(rx.into_iter().map(Ok), session, sinks, ledger, None, &stop, &mut |_| ())
-        };
-        let worker = std::thread::Builder::new()
-            .name("gloaming".into())
-            .spawn(run)
-            .map_err(|e| Error::Device(format!("cannot start a thread: {e}")))?;
-        Ok(InSitu { steps: Some(tx), worker: Some(worker) })
-    }
-
-    /// Hands over one step. Waits while the queue is full.
-    pub fn push(&mut self, step: Timestep) -> Result<()> {
-        let closed = || Error::Closed("the session has ended; close() tells why".into());
-        self.steps.as_ref().ok_or_else(closed)?.send(step).map_err(|_| closed())
-    }
-
-    /// Lights what is still waiting and closes every file.
-    pub fn close(mut self) -> Result<Summary> {
-        self.steps = None;
-        let worker = self.worker.take().ok_or_else(|| Error::Closed("closed already".into()))?;
-        worker.join().unwrap_or_else(|_| Err(Error::Closed("the lighting thread died".into())))
-    }
-}
-
-impl Drop for InSitu {
-    fn drop(&mut self) {
-        self.steps = None;
-        if let Some(worker) = self.worker.take()
-            && let Ok(Err(e)) = worker.join()
-        {
-            tracing::error!("{e}");
-        }
-    }
 }

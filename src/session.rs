@@ -80,6 +80,22 @@ impl Session {
         &self.scene
     }
 
+    /// The grid of the steps so far.
+    pub fn grid(&self) -> Option<Grid> {
+        self.state.as_ref().map(|state| state.medium.grid)
+    }
+
+    /// Forgets the light of the steps so far: the next is lit from scratch, and may be on another grid.
+    pub fn forget(&mut self) {
+        self.state = None;
+    }
+
+    /// Computes on another device from the next step on, which is lit from scratch.
+    pub fn move_to(&mut self, device: Arc<dyn Device>) {
+        self.state = None;
+        self.device = device;
+    }
+
     /// Lights and renders one step.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
         let device = &*self.device;

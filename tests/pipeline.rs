@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use gloaming::device::cpu::Cpu;
 use gloaming::field::{Dense, Field, Timestep};
-use gloaming::pipeline::{self, InSitu, Job, Summary};
+use gloaming::insitu::InSitu;
+use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::Scene;
 use gloaming::session::Session;
 use gloaming::source::{self, Series, SeriesInfo, SourceSpec};
@@ -151,20 +152,21 @@ fn a_series_without_a_readable_step_fails_with_the_reason() {
 /// A bug in a reader is an error, not a series that ends early.
 #[test]
 fn a_reader_that_dies_is_an_error() {
-    struct Dies;
-    impl Field for Dies {
-        fn read(&self, _: Region, _: &mut [f32]) -> Result<()> {
-            panic!("a bug in a reader")
+    struct Dies(SeriesInfo);
+    impl Series for Dies {
+        fn info(&self) -> &SeriesInfo {
+            &self.0
+        }
+        fn timestep(&self, index: usize) -> Result<Timestep> {
+            assert!(index != 1, "a bug in a reader");
+            Faulty::boxed(&[]).timestep(index)
         }
     }
     let out = tempfile::tempdir().unwrap();
-    let target = out.path().join("f_{step:06}.png").to_str().unwrap().to_string();
-    let mut lit = InSitu::open(scene(&[]), Arc::new(Cpu::new(1).unwrap()), &[target], None, "density").unwrap();
-    let grid = Grid::new([8; 3]);
-    let good = Timestep { step: 0, time: None, grid, field: Arc::new(Dense::new(grid.size, vec![0.5; grid.len()])) };
-    lit.push(good.clone()).unwrap();
-    let _ = lit.push(Timestep { step: 1, field: Arc::new(Dies), ..good });
-    assert!(matches!(lit.close(), Err(Error::Closed(why)) if why.contains("died")));
+    let mut scene = scene(&[]);
+    scene.field.range = gloaming::scene::RangeKey::Fixed([0.0, 1.0]);
+    let error = run(job(Box::new(Dies(smoke().info().clone())), vec![0, 1, 2], scene, out.path())).unwrap_err();
+    assert!(matches!(&error, Error::Closed(why) if why.contains("died")), "{error}");
     assert!(out.path().join("f_000000.png").exists(), "what was done before stays");
 }
 
@@ -214,12 +216,14 @@ fn pushed_steps_equal_read_steps() {
     let fixed = &["field.range=[0.0, 1.0]"];
     run(job(smoke(), vec![10, 11, 12], scene(fixed), a.path())).unwrap();
     let target = b.path().join("f_{step:06}.png").to_str().unwrap().to_string();
-    let mut session = InSitu::open(scene(fixed), Arc::new(Cpu::new(2).unwrap()), &[target], None, "density").unwrap();
+    let mut scene = scene(fixed);
+    scene.insitu.outputs = vec![target];
+    let session = InSitu::with(scene).device(Arc::new(Cpu::new(2).unwrap())).open().unwrap();
     let series = smoke();
     for i in [10, 11, 12] {
-        session.push(series.timestep(i).unwrap()).unwrap();
+        session.push_owned(series.timestep(i).unwrap()).unwrap();
     }
-    assert_eq!(session.close().unwrap().done, 3);
+    assert_eq!(session.close().unwrap().lit, 3);
     for step in 10..13 {
         let name = format!("f_{step:06}.png");
         assert_eq!(

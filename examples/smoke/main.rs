@@ -18,7 +18,7 @@ fn main() -> Result<()> {
     };
     let (size, steps) = (number(64)?, number(96)?);
 
-    let summary = coupling::run(&out, size, steps, |done| eprintln!("step {done} of {steps}"))?;
-    println!("{} steps lit, {} lost; see {}", summary.done, summary.lost.len(), out.display());
+    let stats = coupling::run(&out, size, steps, |done| eprintln!("step {done} of {steps}"))?;
+    println!("{} steps lit, {} lost; see {}", stats.lit, stats.lost, out.display());
     Ok(())
 }

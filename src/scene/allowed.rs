@@ -61,6 +61,18 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("render.overlay", "a list of \"time\", \"colorbar\" and \"axes\""),
     ("movie.fps", "frames per second above 0, at most 1000"),
     ("movie.quality", "an integer from 0 (best) to 51"),
+    ("insitu.outputs", "a list of paths, such as [\"movie.mp4\", \"frame_{step:06}.png\"]"),
+    ("insitu.ledger", "the path of a .csv or .json file"),
+    ("insitu.device", "\"auto\", \"cpu\", \"gpu\", or part of an adapter's name"),
+    ("insitu.threads", "an integer from 0 (one per core) to 4096"),
+    ("insitu.cores", "a list of core numbers from 0 to 1023"),
+    ("insitu.queue", "an integer from 1 to 1024"),
+    ("insitu.policy", "\"block\", \"drop-newest\", \"drop-oldest\" or \"coalesce\""),
+    ("insitu.every", "an integer, 1 or more"),
+    ("insitu.every_time", "a simulation time above 0"),
+    ("insitu.light_change", "a fraction of the brightest light, above 0"),
+    ("insitu.resume", "true or false"),
+    ("insitu.light_state", "the path of a file"),
 ];
 
 /// The tables that are lists of tables.

@@ -8,7 +8,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
-use super::{CameraKeys, FieldKeys, LightKeys, MovieKeys, RenderKeys, Scene, SolverKeys, TransferKeys};
+use super::{CameraKeys, FieldKeys, InSituKeys, LightKeys, MovieKeys, RenderKeys, Scene, SolverKeys, TransferKeys};
 use crate::error::{Error, Result};
 
 impl Scene {
@@ -132,6 +132,7 @@ impl Document {
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,
             movie: self.table::<MovieKeys>("movie")?,
+            insitu: self.table::<InSituKeys>("insitu")?,
         })
     }
 

@@ -6,10 +6,12 @@
 use serde::{Deserialize, Serialize};
 
 mod allowed;
+mod insitu;
 mod load;
 mod validate;
 
 pub(crate) use allowed::nearest;
+pub use insitu::{InSituKeys, Policy};
 
 /// A whole scene file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
@@ -29,6 +31,8 @@ pub struct Scene {
     pub render: RenderKeys,
     /// How a movie is encoded.
     pub movie: MovieKeys,
+    /// How a running simulation is coupled.
+    pub insitu: InSituKeys,
 }
 
 /// `[field]`

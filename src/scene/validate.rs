@@ -4,8 +4,8 @@ use std::fmt::Debug;
 
 use super::allowed::allowed;
 use super::{
-    CameraKeys, ComponentKey, FieldKeys, LightKeys, LightKind, Model, MovieKeys, RangeKey, RenderKeys, RenderKind,
-    Scene, SolverKeys, TransferKeys,
+    CameraKeys, ComponentKey, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, RangeKey, RenderKeys,
+    RenderKind, Scene, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -27,7 +27,8 @@ impl Scene {
             require(unique, &format!("cameras.{i}.name"), &keys.name)?;
         }
         render(&self.render)?;
-        movie(&self.movie)
+        movie(&self.movie)?;
+        insitu(&self.insitu)
     }
 }
 
@@ -181,4 +182,14 @@ fn render(keys: &RenderKeys) -> Result<()> {
 fn movie(keys: &MovieKeys) -> Result<()> {
     require(keys.fps > 0.0 && keys.fps <= 1000.0, "movie.fps", keys.fps)?;
     require(keys.quality <= 51, "movie.quality", keys.quality)
+}
+
+fn insitu(keys: &InSituKeys) -> Result<()> {
+    require(keys.threads <= 4096, "insitu.threads", keys.threads)?;
+    require(keys.cores.iter().all(|c| *c < 1024), "insitu.cores", &keys.cores)?;
+    require((1..=1024).contains(&keys.queue), "insitu.queue", keys.queue)?;
+    require(keys.every > 0, "insitu.every", keys.every)?;
+    let above_zero = |v: f64| v > 0.0 && v.is_finite();
+    require(keys.every_time.is_none_or(above_zero), "insitu.every_time", keys.every_time)?;
+    require(keys.light_change.is_none_or(above_zero), "insitu.light_change", keys.light_change)
 }

@@ -164,7 +164,7 @@ impl Lines<'_> {
         let (mut bytes, mut value) = (vec![0; dtype.bytes()], [0.0]);
         self.reader.read_exact(&mut bytes).map_err(|e| Error::io(self.path, e))?;
         self.at += bytes.len() as u64;
-        dtype.decode(&bytes, 1, &mut value, |v| v);
+        dtype.decode(&bytes, 0, dtype.bytes() as isize, &mut value, |v| v);
         Ok(value[0])
     }
 

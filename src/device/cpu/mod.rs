@@ -13,6 +13,7 @@ mod classify;
 mod combine;
 mod compose;
 pub(crate) mod extend;
+pub mod float;
 pub mod march;
 pub mod simd;
 mod source;

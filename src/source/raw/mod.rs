@@ -1,11 +1,10 @@
 //! Headerless files: shape, element type, offset and axis order come from the settings.
 
-mod dtype;
 mod slab;
 
 use std::path::Path;
 
-pub(crate) use dtype::{Dtype, Kind};
+pub(crate) use crate::dtype::{Dtype, Kind};
 pub(crate) use slab::{Bytes, Slab};
 
 use super::axes::Axes;

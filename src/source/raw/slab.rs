@@ -132,7 +132,7 @@ impl RawField {
                 + along(outer, region.start[outer]);
             self.bytes(offset + (first * number) as u64, span * number, &mut buffer)?;
             for o in 0..region.size[outer] {
-                dtype.decode(&buffer[along(outer, o) * number..], strides[inner], &mut row, &narrow);
+                dtype.decode(&buffer, along(outer, o) * number, (strides[inner] * number) as isize, &mut row, &narrow);
                 let at = s * steps[slowest] + o * steps[outer];
                 for (i, value) in row.iter().enumerate() {
                     out[at + i * steps[inner]] = *value;

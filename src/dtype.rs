@@ -2,7 +2,8 @@
 
 /// Type of a stored number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
+#[allow(missing_docs)]
+pub enum Kind {
     U8,
     I8,
     U16,
@@ -18,12 +19,19 @@ pub(crate) enum Kind {
 
 /// Type and byte order of a stored number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Dtype {
+pub struct Dtype {
+    /// What the number is.
     pub kind: Kind,
+    /// Its byte order.
     pub big_endian: bool,
 }
 
 impl Dtype {
+    /// A number as this machine's programs hold it in memory.
+    pub fn native(kind: Kind) -> Dtype {
+        Dtype { kind, big_endian: cfg!(target_endian = "big") }
+    }
+
     /// Reads `f64le`, `u8`, `i16be`, `float32`, `f4`-like names are not taken: sizes are in bits.
     pub fn parse(text: &str) -> Option<Dtype> {
         let lower = text.to_ascii_lowercase();
@@ -69,16 +77,25 @@ impl Dtype {
         }
     }
 
-    /// Decodes every `stride`-th number of `bytes`.
-    pub fn decode<T>(self, bytes: &[u8], stride: usize, out: &mut [T], narrow: impl Fn(f64) -> T) {
+    /// Decodes numbers that lie `step` bytes apart, the first at byte `first`. Panics where they reach beyond `bytes`.
+    pub fn decode<T>(self, bytes: &[u8], first: usize, step: isize, out: &mut [T], narrow: impl Fn(f64) -> T) {
         macro_rules! each {
             ($t:ty, $wide:expr) => {{
                 const N: usize = size_of::<$t>();
-                for (o, at) in out.iter_mut().zip((0..).step_by(stride * N)) {
-                    let mut number = [0; N];
-                    number.copy_from_slice(&bytes[at..at + N]);
-                    let value = if self.big_endian { <$t>::from_be_bytes(number) } else { <$t>::from_le_bytes(number) };
-                    *o = narrow($wide(value));
+                let number = |bytes: [u8; N]| {
+                    narrow($wide(if self.big_endian { <$t>::from_be_bytes(bytes) } else { <$t>::from_le_bytes(bytes) }))
+                };
+                if step == N as isize {
+                    // Without index arithmetic this is vectorised.
+                    let (numbers, _) = bytes[first..first + out.len() * N].as_chunks();
+                    out.iter_mut().zip(numbers).for_each(|(o, bytes)| *o = number(*bytes));
+                } else {
+                    for (o, i) in out.iter_mut().zip(0..) {
+                        let at = first.wrapping_add_signed(i * step);
+                        let mut one = [0; N];
+                        one.copy_from_slice(&bytes[at..at + N]);
+                        *o = number(one);
+                    }
                 }
             }};
         }
