@@ -1,6 +1,8 @@
 //! The medium of one step: data values on the device, the transfer function that gives them optics, and what each brick
 //! holds, so that empty space is never marched.
 
+use std::sync::OnceLock;
+
 use crate::device::{Buffer, Device};
 use crate::error::{Error, Result};
 use crate::field::{EMPTY, HOLE, Timestep};
@@ -22,6 +24,13 @@ pub struct Medium {
     /// Largest extinction or emission in each brick; 0 where nothing can be seen.
     pub majorant: Vec<f32>,
     host: Vec<f32>,
+    /// Values of the step before, once anybody asks what changed.
+    before: Option<Buffer>,
+    /// True when `before` holds a step.
+    follows: bool,
+    taken: bool,
+    changed: OnceLock<Vec<bool>>,
+    same_table: bool,
 }
 
 impl Medium {
@@ -36,10 +45,45 @@ impl Medium {
             ranges: vec![],
             majorant: vec![],
             host: Vec::new(),
+            before: None,
+            follows: false,
+            taken: false,
+            changed: OnceLock::new(),
+            same_table: false,
             grid,
             table,
             bricks,
         })
+    }
+
+    /// Keeps the values of the step before from the next step on, so that [`Medium::changed`] can tell: one more volume.
+    pub fn remember(&mut self, device: &dyn Device) -> Result<()> {
+        if self.before.is_none() {
+            self.before = Some(device.alloc(self.grid.len())?);
+        }
+        Ok(())
+    }
+
+    /// For each of [`Medium::bricks`] whether its values, with a halo of one, differ in any bit from those of the step before; `None`
+    /// when they are not known ([`Medium::remember`]). Looks once a step, and only when asked.
+    pub fn changed(&self, device: &dyn Device) -> Result<Option<&[bool]>> {
+        let Some(before) = self.before.as_ref().filter(|_| self.follows) else { return Ok(None) };
+        if self.changed.get().is_none() {
+            let change = device.change(&self.bricks, &self.field, before)?;
+            // Not a number where both differ beyond what f32 holds: a change too.
+            let _ = self.changed.set(change.iter().map(|c| !(c[0] == 0.0)).collect());
+        }
+        Ok(self.changed.get().map(|c| &c[..]))
+    }
+
+    /// True when the transfer function is that of the step before.
+    pub fn same_table(&self) -> bool {
+        self.same_table
+    }
+
+    /// True when every value and the transfer function are those of the step before.
+    pub fn still(&self, device: &dyn Device) -> Result<bool> {
+        Ok(self.same_table && self.changed(device)?.is_some_and(|c| !c.contains(&true)))
     }
 
     /// Takes in the values of a step: reads them, marks what is not finite as holes, hands them to the device and finds each
@@ -54,6 +98,12 @@ impl Medium {
         self.host.resize(self.grid.len(), 0.0);
         step.field.read(self.grid.region(), &mut self.host)?;
         let holes = mark_holes(&mut self.host);
+        self.changed.take();
+        if let Some(before) = &mut self.before {
+            std::mem::swap(before, &mut self.field);
+            self.follows = self.taken;
+        }
+        self.taken = true;
         self.host = device.exchange(std::mem::take(&mut self.host), &mut self.field)?;
         self.ranges = device.brick_range(&self.bricks, &self.field)?;
         let (lo, hi) =
@@ -63,6 +113,7 @@ impl Medium {
 
     /// Sets the transfer function and finds which bricks can be seen at all.
     pub fn classify(&mut self, table: Table) {
+        self.same_table = self.table == table;
         self.table = table;
         self.majorant = self.table.majorants(&self.ranges);
     }

@@ -183,6 +183,7 @@ pub fn measure(
     let grid = series.timestep(*first)?.grid;
     let table = transfer.table(range, grid.mean_spacing());
     let mut medium = Medium::new(device, grid, table.clone())?;
+    medium.remember(device)?;
     let mut cold = Way::new(device, scene, &grid, false, tolerance)?;
     let mut warm = Way::new(device, scene, &grid, true, tolerance)?;
     let mut tight = Way::new(device, scene, &grid, false, tight_tolerance)?;

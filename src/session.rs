@@ -42,11 +42,11 @@ struct State {
 impl State {
     fn new(device: &dyn Device, scene: &Scene, transfer: &TransferFunction, grid: Grid) -> Result<Self> {
         let table = transfer.table([0.0, 1.0], grid.mean_spacing());
-        Ok(State {
-            medium: Medium::new(device, grid, table)?,
-            solver: LightSolver::new(device, scene, &grid)?,
-            light: LightVolume::default(),
-        })
+        let mut medium = Medium::new(device, grid, table)?;
+        if scene.light.warm {
+            medium.remember(device)?;
+        }
+        Ok(State { medium, solver: LightSolver::new(device, scene, &grid)?, light: LightVolume::default() })
     }
 }
 

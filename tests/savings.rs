@@ -83,6 +83,20 @@ fn a_still_series_costs_one_pass_of_looking() {
     }
 }
 
+/// With all light too, whatever the transfer function: the scattered light of a medium that does not change is kept.
+#[test]
+fn scattered_light_of_a_still_series_is_kept() {
+    for colours in ["transfer.colormap=white", "transfer.colormap=inferno"] {
+        let found = measure(&Made::ball(3, 0.0), &[colours, "lights.0.kind=distant", "lights.1.kind=environment"]);
+        for s in &found.steps[1..] {
+            assert_eq!((s.warm.bricks_active, s.warm.iterations), (0, 0), "{s:?}");
+            assert!(s.warm.voxel_updates <= 2 * 64 * 64 * 64, "{s:?}");
+            assert_eq!(s.warm.certified_error, found.steps[0].warm.certified_error);
+            assert!(s.warm.true_error <= s.warm.certified_error + f64::from(found.tight_tolerance), "{s:?}");
+        }
+    }
+}
+
 /// A corner of the box changes: bricks that its light does not reach are left alone, and no result differs at tolerance 0.
 #[test]
 fn a_change_in_a_corner_is_cheaper_than_the_box_and_exact_at_tolerance_zero() {

@@ -253,6 +253,8 @@ impl Scattered {
                 None => majorant.insert(State::new(device, grid.len(), linear != 0.0)?),
             };
             let residual = bound.apply(kept, value, work)?;
+            anderson.clear();
+            anderson.take(device, kept, value)?;
             let done = iterate::iterate(&bound, kept, value, residual, (anderson, work), |_| 0.5)?;
             passes += 1 + done.passes;
             if done.residual.change < 1.0 {
@@ -279,6 +281,7 @@ impl Scattered {
             _ => &[Start::Cold],
         };
         let mut best: Option<(Residual, Start)> = None;
+        anderson.clear();
         for &guess in guesses {
             match guess {
                 Start::Cold => {}
@@ -287,6 +290,8 @@ impl Scattered {
             }
             let residual = equation.apply(x, value, work)?;
             passes += 1;
+            // A guess that loses still helps the mixture.
+            anderson.take(device, x, value)?;
             if best.is_none_or(|(b, _)| residual.change < b.change) {
                 best = Some((residual, guess));
                 std::mem::swap(value, other);
@@ -299,11 +304,6 @@ impl Scattered {
         }
         let (residual, start) = best.expect("there is a guess");
         std::mem::swap(value, other);
-        match start {
-            Start::Cold => {}
-            Start::Previous => x.combine(device, &[(solution, 1.0)])?,
-            Start::Extrapolated => x.combine(device, &[(solution, 2.0), (before, -1.0)])?,
-        }
         *won = (*known == 2).then(|| (start, residual.change / scale(residual.peak)));
         let done = iterate::iterate(&equation, x, value, residual, (anderson, work), target)?;
         passes += done.passes;

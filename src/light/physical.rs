@@ -17,7 +17,21 @@ pub(super) struct Unknowns {
     scattered: Option<Scattered>,
     grid: Option<Grid>,
     anisotropy: f32,
+    /// What the latest scattered light was solved for, and how well.
+    lights: Vec<Light>,
+    certified: f64,
+    converged: bool,
 }
+
+/// Bricks of direct light: finer ones follow what changed more closely, coarser ones are swept faster a voxel. On smoke that
+/// moves by a voxel a step 16³ are swept in half of the volume, 32³ in three quarters.
+const EDGE: usize = 16;
+
+/// Share of the bricks above which sweeping them one by one costs more than the whole.
+const MANY: f64 = 0.6;
+
+/// Steps that are swept whole, without looking for change, after one in which many bricks were.
+const UNLOOKED: u32 = 3;
 
 /// Extinction now and before, and scratch.
 pub(super) struct Physical {
@@ -28,6 +42,8 @@ pub(super) struct Physical {
     layout: BrickLayout,
     sigma: [Buffer; 2],
     solved: bool,
+    /// Steps still to come that are swept whole.
+    unlooked: u32,
     optics: Option<Optics>,
 }
 
@@ -47,9 +63,10 @@ impl Physical {
         let coarse = data.resized(SolverKeys::grid_size(keys.resolution, data.size));
         Ok(Physical {
             anisotropy: scene.transfer.anisotropy,
-            layout: BrickLayout::new(grid.size, BrickLayout::EDGE),
+            layout: BrickLayout::new(grid.size, EDGE),
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
+            unlooked: 0,
             optics: None,
             keys,
             grid,
@@ -73,7 +90,9 @@ impl Physical {
         let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
         device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
-        let change = if warm {
+        let look = warm && self.unlooked == 0;
+        self.unlooked = self.unlooked.saturating_sub(1);
+        let change = if look {
             report.voxel_updates += self.grid.len() as u64;
             Some(device.change(&self.layout, now, before)?)
         } else {
@@ -83,9 +102,35 @@ impl Physical {
         volume.anisotropy = self.anisotropy;
         report.warm = warm;
         self.direct(device, lights, change.as_deref(), volume, &mut report)?;
-        self.scattered(device, medium, lights, warm, volume, &mut report)?;
+        if look && report.bricks_active as f64 > MANY * report.bricks_total as f64 {
+            self.unlooked = UNLOOKED;
+        }
+        let still = change.is_some_and(|c| c.iter().all(|c| *c == [0.0; 3])) && volume.lights == lights;
+        if still && volume.scattered.is_some() && self.still(device, medium, &mut report)? {
+            report.certified_error += volume.certified;
+            report.converged = volume.converged;
+        } else {
+            let direct = report.certified_error;
+            self.scattered(device, medium, lights, warm, volume, &mut report)?;
+            volume.certified = report.certified_error - direct;
+            volume.converged = report.converged;
+            volume.lights = lights.to_vec();
+        }
         self.solved = true;
         Ok(report)
+    }
+
+    /// True when the medium scatters and glows as in the step before; its extinction does.
+    fn still(&self, device: &dyn Device, medium: &Medium, report: &mut SolveReport) -> Result<bool> {
+        if !medium.same_table() {
+            return Ok(false);
+        }
+        let told = self.grid.size == medium.grid.size && medium.table.constant_albedo().is_some();
+        if told && medium.table.emission.is_empty() {
+            return Ok(true);
+        }
+        report.voxel_updates += medium.grid.len() as u64;
+        medium.still(device)
     }
 
     /// Direct light of every distant light.

@@ -6,7 +6,7 @@ use crate::device::Device;
 use crate::error::Result;
 
 /// Pairs kept; each takes two volumes (eight where scattering is anisotropic).
-const DEPTH: usize = 4;
+const DEPTH: usize = 6;
 
 /// Latest values and residuals.
 #[derive(Default)]
@@ -29,8 +29,8 @@ impl Anderson {
         (self.used, self.next) = (0, 0);
     }
 
-    /// Takes in a pair x, Φ(x) and replaces x by the mixture.
-    pub fn step(&mut self, device: &dyn Device, x: &mut State, value: &State) -> Result<()> {
+    /// Takes in a pair x, Φ(x), of any guess.
+    pub fn take(&mut self, device: &dyn Device, x: &State, value: &State) -> Result<()> {
         if self.slots.len() == self.next {
             let fresh = || State::new(device, value.phi.len(), value.current.is_some());
             self.slots.push(Slot { value: fresh()?, residual: fresh()? });
@@ -46,6 +46,11 @@ impl Anderson {
             self.gram[latest][i] = product;
             self.gram[i][latest] = product;
         }
+        Ok(())
+    }
+
+    /// Replaces x by the mixture of the pairs taken in.
+    pub fn mix(&self, device: &dyn Device, x: &mut State) -> Result<()> {
         let weights = self.weights();
         let terms: Vec<_> = self.slots[..self.used].iter().zip(weights).map(|(s, w)| (&s.value, w as f32)).collect();
         x.combine(device, &terms)
