@@ -11,7 +11,9 @@ use crate::error::Result;
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
+use convection::{Convected, Convection, Layers, Spread};
 
+pub mod convection;
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -344,6 +346,56 @@ pub trait Device: Send + Sync {
         phi: &mut Buffer,
         current: Option<[&mut Buffer; 3]>,
     ) -> Result<(f32, f32)>;
+
+    /// Convection of parallel light layer by layer: strips of [`Convection::STRIP`] rows iterate (16) with the layer before
+    /// and the strip upstream done, from what `layers` says. `before` holds the light of an earlier solve; `rho` is
+    /// overwritten.
+    fn convect_layers(
+        &self,
+        convection: &Convection,
+        layers: Layers,
+        sigma: &Buffer,
+        before: &Buffer,
+        rho: &mut Buffer,
+    ) -> Result<Convected>;
+
+    /// One iteration (16) of every voxel at once, from `before` into `rho`; returns the largest change.
+    fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32>;
+
+    /// The fixed point of convection in one pass, each voxel after its upstream neighbours: see [`convection`].
+    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()>;
+
+    /// `out = ρ · cone · 1/r²` of a light from one place: see [`Spread`].
+    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()>;
+
+    /// Diffusion in place, exact in time: a convolution with a symmetric kernel along x, y and z, of which `weights` hold the
+    /// middle and one side; mirrors at the faces.
+    fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()>;
+
+    /// One red-black half of a Gauss–Seidel sweep of `v − Σ_a κ_a (v_a⁻ − 2v + v_a⁺) = rhs` with mirrors at the faces: voxels
+    /// whose i + j + k has the parity of `colour` (0 or 1) are solved for.
+    fn relax(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &mut Buffer,
+        colour: usize,
+    ) -> Result<()>;
+
+    /// Residual `rhs − A v` of the system of [`Device::relax`] into `out`; returns its largest size. Every row of A sums to 1
+    /// and A is an M-matrix, so that this is a bound on the error of v.
+    fn residual(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &Buffer,
+        out: &mut Buffer,
+    ) -> Result<f32>;
+
+    /// Adds a coarser grid of the same box to a finer one: trilinear between its values, constant beyond the outermost.
+    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()>;
 
     /// `Σ weight·values` into `out`: zeros without terms, a copy with one term of weight 1.
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {

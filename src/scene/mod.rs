@@ -223,10 +223,20 @@ pub struct SolverKeys {
     pub sigma_s: [f32; 3],
     /// calibrated or literal, paper model.
     pub opacity_scale: OpacityScale,
-    /// Iterations per layer, paper model.
+    /// How convection is solved, paper model.
+    pub convection: ConvectionMethod,
+    /// Iterations per layer and step at most (of the whole volume in `convection = "volume"`), paper model.
     pub iterations: usize,
-    /// Time budget per step in milliseconds instead.
+    /// Time for the light of a step in milliseconds, paper model: passes of `iterations` go on until the tolerance holds or
+    /// the time is used up, and in the next step from there.
     pub budget_ms: Option<f64>,
+    /// How diffusion is solved, paper model.
+    pub diffusion: DiffusionMethod,
+    /// How point and cone lights fall off, paper model.
+    pub falloff: Falloff,
+    /// Width (standard deviation) of that Gaussian, world length; the distance from the light to the farthest corner of the
+    /// box when absent.
+    pub width: Option<f64>,
     /// Largest certified error of the light, relative to the brightest light.
     pub tolerance: f32,
     /// Start each solve from the previous step's light.
@@ -244,8 +254,12 @@ impl Default for SolverKeys {
             directions: 32,
             sigma_s: [1.0; 3],
             opacity_scale: OpacityScale::Calibrated,
+            convection: ConvectionMethod::Layers,
             iterations: 5,
             budget_ms: None,
+            diffusion: DiffusionMethod::Exact,
+            falloff: Falloff::Gaussian,
+            width: None,
             tolerance: 1e-3,
             warm: true,
         }
@@ -298,6 +312,41 @@ pub enum OpacityScale {
     Calibrated,
     /// Opacity as the paper has it: about twice the extinction.
     Literal,
+}
+
+/// `light.convection`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ConvectionMethod {
+    /// Layer by layer along a distant light, `iterations` each from the layer upstream or from the step before, as
+    /// published. Point and cone lights are solved as by `ordered`.
+    Layers,
+    /// All voxels at once, `iterations` a step: the reference.
+    Volume,
+    /// The same light in one pass, each voxel after those that light it: exact.
+    Ordered,
+}
+
+/// `light.diffusion`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DiffusionMethod {
+    /// The solution at t = 1: no iterations, nothing left to converge, and faster than any iteration.
+    Exact,
+    /// One implicit step, red-black Gauss–Seidel: as published.
+    GaussSeidel,
+    /// The same step by multigrid.
+    Multigrid,
+}
+
+/// `light.falloff`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Falloff {
+    /// A Gaussian of the distance where light enters the volume, constant along rays from there: as published.
+    Gaussian,
+    /// 1/r² from the light.
+    Physical,
 }
 
 /// `[[cameras]]`

@@ -125,6 +125,9 @@ fn solver(keys: &SolverKeys) -> Result<()> {
     if let Some(budget) = keys.budget_ms {
         require(budget > 0.0 && budget.is_finite(), "light.budget_ms", budget)?;
     }
+    if let Some(width) = keys.width {
+        require(width > 0.0 && width.is_finite(), "light.width", width)?;
+    }
     let tolerance = keys.tolerance;
     require(tolerance == 0.0 || (SMALLEST_TOLERANCE..=1.0).contains(&tolerance), "light.tolerance", tolerance)
 }

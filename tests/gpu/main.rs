@@ -3,6 +3,7 @@
 //! They run on software Vulkan unless `GLOAMING_TEST_DEVICE` names another adapter.
 #![cfg(feature = "gpu")]
 
+mod convection;
 mod light;
 mod march;
 mod session;

@@ -2,6 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use crate::device::convection::{Convected, Convection, Layers, Spread};
 use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -12,11 +13,15 @@ mod bricks;
 mod classify;
 mod combine;
 mod compose;
+mod convect;
+mod diffuse;
 pub(crate) mod extend;
 pub mod float;
 pub mod march;
+mod relax;
 pub mod simd;
 mod source;
+mod spread;
 pub(crate) mod sweep;
 mod sweep_cubic;
 mod sweep_x;
@@ -152,6 +157,66 @@ impl Device for Cpu {
         let kept = &mut *guard;
         let (phi, current) = (host_mut(phi), current.map(|c| c.map(host_mut)));
         Ok(self.pool.install(|| transport::transport(transport, kept, phi, current)))
+    }
+
+    fn convect_layers(
+        &self,
+        convection: &Convection,
+        layers: Layers,
+        sigma: &Buffer,
+        before: &Buffer,
+        rho: &mut Buffer,
+    ) -> Result<Convected> {
+        let (sigma, before, rho) = (host(sigma), host(before), host_mut(rho));
+        Ok(self.pool.install(|| convect::strips::convect(convection, layers, sigma, before, rho)))
+    }
+
+    fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32> {
+        let (sigma, before, rho) = (host(sigma), host(before), host_mut(rho));
+        Ok(self.pool.install(|| convect::whole::convect(convection, sigma, before, rho)))
+    }
+
+    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
+        self.pool.install(|| convect::ordered::convect(convection, host(sigma), host_mut(rho)));
+        Ok(())
+    }
+
+    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| spread::spread(size, spread, host(rho), host_mut(out)));
+        Ok(())
+    }
+
+    fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
+        self.pool.install(|| diffuse::diffuse(size, weights, host_mut(values)));
+        Ok(())
+    }
+
+    fn relax(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &mut Buffer,
+        colour: usize,
+    ) -> Result<()> {
+        self.pool.install(|| relax::relax(size, coupling, host(rhs), host_mut(values), colour));
+        Ok(())
+    }
+
+    fn residual(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &Buffer,
+        out: &mut Buffer,
+    ) -> Result<f32> {
+        Ok(self.pool.install(|| relax::residual(size, coupling, host(rhs), host(values), host_mut(out))))
+    }
+
+    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
+        self.pool.install(|| relax::prolong(coarse, host(values), size, host_mut(into)));
+        Ok(())
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {

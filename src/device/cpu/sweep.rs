@@ -65,6 +65,14 @@ impl Shared {
         unsafe { *self.0.add(at) }
     }
 
+    /// `n` values from `at` on that nobody writes while the slice lives.
+    #[inline(always)]
+    pub(super) fn read<'a>(self, at: usize, n: usize) -> &'a [f32] {
+        self.check(at, n);
+        // SAFETY: in bounds; fronts order reads after writes.
+        unsafe { std::slice::from_raw_parts(self.0.add(at), n) }
+    }
+
     /// `n` values from `at` on.
     ///
     /// # Safety

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
+use crate::device::convection::{Convected, Convection, Layers, Spread};
 use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -16,10 +17,14 @@ mod bricks;
 mod classify;
 mod combine;
 mod compose;
+mod convect;
+mod diffuse;
 mod extend;
 mod march;
+mod relax;
 pub mod shader;
 mod source;
+mod spread;
 mod sweep;
 mod transport;
 
@@ -355,6 +360,59 @@ impl Device for Gpu {
         current: Option<[&mut Buffer; 3]>,
     ) -> Result<(f32, f32)> {
         transport::transport(self, transport, phi, current)
+    }
+
+    fn convect_layers(
+        &self,
+        convection: &Convection,
+        layers: Layers,
+        sigma: &Buffer,
+        before: &Buffer,
+        rho: &mut Buffer,
+    ) -> Result<Convected> {
+        convect::layers(self, convection, layers, sigma, before, rho)
+    }
+
+    fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32> {
+        convect::whole(self, convection, sigma, before, rho)
+    }
+
+    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
+        convect::ordered(self, convection, sigma, rho)
+    }
+
+    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        spread::spread(self, size, spread, rho, out)
+    }
+
+    fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
+        diffuse::diffuse(self, size, weights, values)
+    }
+
+    fn relax(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &mut Buffer,
+        colour: usize,
+    ) -> Result<()> {
+        relax::relax(self, size, coupling, rhs, values, colour)
+    }
+
+    fn residual(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &Buffer,
+        out: &mut Buffer,
+    ) -> Result<f32> {
+        relax::residual(self, size, coupling, rhs, values, out)
+    }
+
+    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
+        relax::prolong(self, coarse, values, size, into)
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {

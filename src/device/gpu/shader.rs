@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use encase::ShaderSize;
 use wgpu::naga;
 
-use super::{bricks, classify, extend, march, source, sweep, transport};
+use super::{bricks, classify, convect, diffuse, extend, march, relax, source, spread, sweep, transport};
 use crate::error::{Error, Result};
 
 /// A kernel's WGSL, and what the host believes about it.
@@ -54,6 +54,16 @@ pub static SWEEP: Shader = shader!("sweep", ["grid"], size_of::<sweep::Params>()
 pub static SOURCE: Shader = shader!("source", ["grid"], size_of::<source::Params>());
 /// See `shaders/transport.wgsl`.
 pub static TRANSPORT: Shader = shader!("transport", ["grid"], size_of::<transport::Params>());
+/// See `shaders/convect.wgsl`.
+pub static CONVECT: Shader = shader!("convect", ["grid"], size_of::<convect::Params>());
+/// See `shaders/diffuse.wgsl`.
+pub static DIFFUSE: Shader = shader!("diffuse", ["grid"], size_of::<diffuse::Params>());
+/// See `shaders/relax.wgsl`.
+pub static RELAX: Shader = shader!("relax", ["grid"], size_of::<relax::Relax>());
+/// See `shaders/prolong.wgsl`.
+pub static PROLONG: Shader = shader!("prolong", ["grid"], size_of::<relax::Prolong>());
+/// See `shaders/spread.wgsl`.
+pub static SPREAD: Shader = shader!("spread", ["grid"], size_of::<spread::Params>());
 /// See `shaders/combine.wgsl`.
 pub static COMBINE: Shader = shader!("combine", ["grid"], None);
 /// See `shaders/extend.wgsl`.
@@ -64,8 +74,21 @@ pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 pub static MARCH: Shader = shader!("march", ["grid", "table"], size_of::<march::Params>());
 
 /// Every shader.
-pub fn shaders() -> [&'static Shader; 11] {
-    [&CLASSIFY, &RESTRICT, &BRICK_RANGE, &CHANGE, &SWEEP, &SOURCE, &TRANSPORT, &COMBINE, &EXTEND, &COMPOSE, &MARCH]
+pub fn shaders() -> Vec<&'static Shader> {
+    vec![
+        &CLASSIFY,
+        &RESTRICT,
+        &BRICK_RANGE,
+        &CHANGE,
+        &SWEEP,
+        &SOURCE,
+        &TRANSPORT,
+        &CONVECT,
+        &COMBINE,
+        &EXTEND,
+        &COMPOSE,
+        &MARCH,
+    ]
 }
 
 /// A shader on a device: its bindings by name, and its pipelines by entry point and constants.

@@ -1,0 +1,288 @@
+//! What convection is about: where light comes from, what opacity means, how a solve starts.
+//!
+//! Zhang & Ma 2013, (16)–(20): `ρ' = (1 − σ_a)(ρ − ½Σ_a |d_a| (ρ − ρ_a))`, ρ_a the upstream neighbour along axis a and
+//! `d_a = u_a h/Δx_a` the way of light in voxels, h the least of the three spacings, so that `s = Σ|d_a| ≤ √3` and the step is
+//! stable. Its fixed point is `ρ = T/s · Σ|d_a| ρ_a` with `T = (1 − σ_a)s / (s + σ_a(2 − s))`.
+
+use glam::DVec3;
+
+use crate::grid::{BrickLayout, Grid};
+
+/// One light on one grid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Convection {
+    /// Values along x, y, z.
+    pub size: [usize; 3],
+    /// The way of light at each voxel, and what enters the grid.
+    pub rays: Rays,
+    /// What a voxel takes away.
+    pub opacity: Opacity,
+}
+
+/// The way of light. Lengths are in units of h, the least spacing of the grid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rays {
+    /// Distant light (6), (7): ρ = 1 outside the up to three faces that it enters by.
+    Parallel {
+        /// d along x, y, z.
+        way: [f32; 3],
+    },
+    /// Light from one place (8)–(11), (14), (15).
+    ///
+    /// In the layer of voxels that holds the light's plane across an axis, light moves along that plane: neither neighbour
+    /// across it is upstream of the other, so every voxel's upstream neighbours are nearer to the light.
+    Central {
+        /// The place, in voxels.
+        position: [f32; 3],
+        /// Δx, Δy, Δz.
+        spacing: [f32; 3],
+        /// Voxels nearer than this hold G and are never updated; 0 for a light outside the box, whose G is held outside the
+        /// faces that the light enters by.
+        ball: f32,
+        /// `1/(2 width²)` of the Gaussian `G = exp(−r²·falloff)`; 0 for G = 1.
+        falloff: f32,
+    },
+}
+
+/// σ_a from the mean extinction of a voxel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Opacity {
+    /// σ_a such that light is dimmed by `e^(−σ_t·length)` along a world length h, whatever its direction: `t = e^(−τ/s)`,
+    /// `σ_a = s(1 − t)/(s + t(2 − s))`, so that T = t.
+    Calibrated {
+        /// h, world length.
+        length: f32,
+    },
+    /// σ_a is the opacity of the transfer function, `1 − e^(−σ_t·length)`, whatever the size of a voxel: about twice the
+    /// extinction, on a grid of that spacing.
+    Literal {
+        /// Reference length of the transfer function, world length.
+        length: f32,
+    },
+}
+
+/// What the iterations of a layer start from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Start {
+    /// Nothing: light has to cross every layer by iterations.
+    Zero,
+    /// The layer upstream.
+    Upstream,
+    /// Of the layer upstream, the earlier light of this layer, and that light moved by the change of the layer upstream, the
+    /// one with the least residual in the middle row of the strip.
+    Best,
+}
+
+/// How [`Device::convect_layers`](super::Device::convect_layers) goes about it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layers {
+    /// Most iterations of a strip.
+    pub iterations: u32,
+    /// A strip stops where the bound on its error is within its share of this, more of it downstream.
+    pub tolerance: f32,
+    /// What it starts from.
+    pub start: Start,
+}
+
+/// What a pass of convection did.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Convected {
+    /// Bound on the distance to the fixed point, for ρ = 1 at the light; infinite where no bound is known.
+    pub error: f32,
+    /// Most iterations that a strip took.
+    pub iterations: u32,
+    /// Voxel updates, those of tried guesses included.
+    pub updates: u64,
+}
+
+/// What of a light from one place reaches a voxel, beside ρ: `cone · 1/max(r², nearest)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// The place, in voxels.
+    pub position: [f32; 3],
+    /// Δx, Δy, Δz, world lengths.
+    pub spacing: [f32; 3],
+    /// The cone's axis, unit.
+    pub axis: [f32; 3],
+    /// Cosine of the angle to the axis within which the light is whole.
+    pub inner: f32,
+    /// Cosine of the angle beyond which there is none; smooth (3t² − 2t³) between the two. Below −1 where there is no cone.
+    pub outer: f32,
+    /// r² below which 1/r² no longer grows; 0 for light that does not fall off.
+    pub nearest: f32,
+}
+
+impl Convection {
+    /// Rows of a strip: iterations of a layer run strip by strip, so that strips on a diagonal run at the same time.
+    pub const STRIP: usize = 32;
+
+    /// h: the least spacing of a grid.
+    pub fn step(grid: &Grid) -> f64 {
+        grid.spacing.into_iter().fold(f64::INFINITY, f64::min)
+    }
+
+    /// Distant light that travels along the unit world direction `u`.
+    pub fn distant(grid: &Grid, u: glam::Vec3, opacity: Opacity) -> Self {
+        let h = Self::step(grid);
+        let way = std::array::from_fn(|a| (f64::from(u[a]) * h / grid.spacing[a]) as f32);
+        Convection { size: grid.size, rays: Rays::Parallel { way }, opacity }
+    }
+
+    /// Light from `position`, with G of this `width` (world lengths; `None` for G = 1).
+    pub fn central(grid: &Grid, position: DVec3, width: Option<f64>, opacity: Opacity) -> Self {
+        let h = Self::step(grid);
+        let (lo, hi) = grid.bounds();
+        let inside = position.cmpge(lo).all() && position.cmple(hi).all();
+        let rays = Rays::Central {
+            position: std::array::from_fn(|a| ((position[a] - grid.origin[a]) / grid.spacing[a]) as f32),
+            spacing: grid.spacing.map(|d| (d / h) as f32),
+            ball: if inside { (2.0 * grid.mean_spacing() / h) as f32 } else { 0.0 },
+            falloff: width.map_or(0.0, |w| (0.5 * (h / w).powi(2)) as f32),
+        };
+        Convection { size: grid.size, rays, opacity }
+    }
+
+    /// Along each axis the index towards and beyond which everything is downstream: the upstream neighbour of index i is
+    /// i − 1 above it and i + 1 below it. −1 and the size stand for the faces.
+    pub fn centre(&self) -> [i32; 3] {
+        match self.rays {
+            Rays::Parallel { way } => std::array::from_fn(|a| if way[a] >= 0.0 { -1 } else { self.size[a] as i32 }),
+            Rays::Central { position, .. } => {
+                std::array::from_fn(|a| position[a].round().clamp(-1.0, self.size[a] as f32) as i32)
+            }
+        }
+    }
+
+    /// The axis that parallel light crosses most voxels along; z, where light comes from one place.
+    pub fn axis(&self) -> usize {
+        match self.rays {
+            Rays::Parallel { way } => {
+                let d = way.map(f32::abs);
+                // Along z and y rows of memory lie in the layers.
+                if d[2] >= d[1] && d[2] >= d[0] {
+                    2
+                } else if d[1] >= d[0] {
+                    1
+                } else {
+                    0
+                }
+            }
+            Rays::Central { .. } => 2,
+        }
+    }
+
+    /// Bound on the error of a strip per size of its last update: in the layer's system a row sums to at most
+    /// `1 − ½|d_a|`, so iterations close in on the solution at that rate, and the error is at most `(2/|d_a| − 1)` times the
+    /// update. What flows in wrong stays as wrong as it was at most: every update is a mean.
+    pub fn gain(&self) -> f32 {
+        match self.rays {
+            Rays::Parallel { way } => 2.0 / way[self.axis()].abs() - 1.0,
+            Rays::Central { .. } => f32::INFINITY,
+        }
+    }
+
+    /// Bound on the error of the whole volume per size of the last update of all voxels: `A w ≥ 1` for
+    /// `w = 2n/|d_a|`, n the layers from the entry face on (A is an M-matrix).
+    pub fn whole_gain(&self) -> f32 {
+        match self.rays {
+            Rays::Parallel { way } => 2.0 * self.size[self.axis()] as f32 / way[self.axis()].abs(),
+            Rays::Central { .. } => f32::INFINITY,
+        }
+    }
+
+    /// Layers and bands of strips: `[layers, bands]`.
+    pub fn strips(&self) -> [usize; 2] {
+        let [_, row, layer] = self.axes();
+        [self.size[layer], self.size[row].div_ceil(Self::STRIP)]
+    }
+
+    /// Axes `[column, row, layer]`: layers across the dominant one, strips of rows in them.
+    pub fn axes(&self) -> [usize; 3] {
+        [[1, 2, 0], [0, 2, 1], [0, 1, 2]][self.axis()]
+    }
+
+    /// Boxes in an order such that every voxel's upstream neighbours come first: groups whose boxes are independent of one
+    /// another, each box on one side of the light's planes. Boxes have edges of at most `edge`.
+    pub fn fronts(&self, edge: usize) -> Vec<Vec<crate::grid::Region>> {
+        let centre = self.centre();
+        // Along each axis `(depth, start, end)`, outwards from the centre.
+        let parts: [Vec<(usize, usize, usize)>; 3] = std::array::from_fn(|a| {
+            let (n, c) = (self.size[a], centre[a]);
+            let (below, above) = (c.clamp(0, n as i32) as usize, c.clamp(0, n as i32) as usize);
+            let up = (above..n).step_by(edge).enumerate().map(|(d, start)| (d, start, (start + edge).min(n)));
+            // The centre's own layer is above: what lies below waits for it.
+            let wait = usize::from(above < n);
+            let down = (0..below.div_ceil(edge)).map(|d| {
+                let end = below - d * edge;
+                (d + wait, end.saturating_sub(edge), end)
+            });
+            up.chain(down).collect()
+        });
+        let deepest: usize = parts.iter().map(|p| p.iter().map(|b| b.0).max().unwrap_or(0)).sum();
+        let mut fronts = vec![Vec::new(); deepest + 1];
+        for z in &parts[2] {
+            for y in &parts[1] {
+                for x in &parts[0] {
+                    let size = [x.2 - x.1, y.2 - y.1, z.2 - z.1];
+                    fronts[x.0 + y.0 + z.0].push(crate::grid::Region { start: [x.1, y.1, z.1], size });
+                }
+            }
+        }
+        fronts
+    }
+
+    /// [`BrickLayout::EDGE`]: edge of the boxes that ordered convection runs over.
+    pub const EDGE: usize = BrickLayout::EDGE;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every voxel is in one box, and its upstream neighbours are in the same or an earlier one.
+    #[test]
+    fn fronts_cover_the_grid_upstream_first() {
+        let grid = Grid { size: [13, 9, 11], spacing: [1.0, 0.7, 1.3], origin: [0.0; 3] };
+        let opacity = Opacity::Calibrated { length: 1.0 };
+        let mut all = vec![
+            Convection::distant(&grid, glam::Vec3::new(0.6, -0.64, 0.48), opacity),
+            Convection::distant(&grid, glam::Vec3::NEG_Y, opacity),
+        ];
+        for position in [[6.2, 3.5, 4.9], [-3.0, 2.0, 30.0], [-0.3, 6.0, 5.0], [12.6, 2.8, 0.0], [40.0, 40.0, -40.0]] {
+            all.push(Convection::central(&grid, DVec3::from(position), None, opacity));
+        }
+        for convection in all {
+            let mut order = vec![usize::MAX; grid.len()];
+            for (front, boxes) in convection.fronts(4).iter().enumerate() {
+                for region in boxes {
+                    for k in region.start[2]..region.end()[2] {
+                        for j in region.start[1]..region.end()[1] {
+                            for i in region.start[0]..region.end()[0] {
+                                let at = &mut order[grid.index([i, j, k])];
+                                assert_eq!(*at, usize::MAX, "twice");
+                                *at = front;
+                            }
+                        }
+                    }
+                }
+            }
+            assert!(order.iter().all(|o| *o < usize::MAX), "not all");
+            let centre = convection.centre();
+            for at in 0..grid.len() {
+                let p = [at % 13, at / 13 % 9, at / 117];
+                for a in 0..3 {
+                    let mut q = p.map(|v| v as i32);
+                    match (q[a]).cmp(&centre[a]) {
+                        std::cmp::Ordering::Equal => continue,
+                        std::cmp::Ordering::Greater => q[a] -= 1,
+                        std::cmp::Ordering::Less => q[a] += 1,
+                    }
+                    if (0..3).all(|a| q[a] >= 0 && q[a] < grid.size[a] as i32) {
+                        let up = grid.index(q.map(|v| v as usize));
+                        assert!(order[up] <= order[at], "{convection:?}: {q:?} after {p:?}");
+                    }
+                }
+            }
+        }
+    }
+}
