@@ -175,6 +175,14 @@ impl InSitu {
         })
     }
 
+    /// Gives a step up that could not be handed over, so that it is counted, said and in the ledger like any other loss.
+    ///
+    /// # Errors
+    /// `why`, when a trigger or the policy did not pass the step over anyway; [`Error::Closed`] after [`InSitu::close`].
+    pub fn lose(&self, step: u64, time: Option<f64>, why: Error) -> Result<Taken> {
+        self.offer(step, time, |_| Err(why))
+    }
+
     fn offer(
         &self,
         step: u64,

@@ -32,6 +32,7 @@ mod vtkhdf;
 mod whole;
 mod yuv;
 
+pub use png::png_bytes;
 use template::Template;
 pub(crate) use whole::write_whole;
 
