@@ -8,6 +8,10 @@ struct Params {
     size: vec3<u32>,
     scale: f32,
     entries: u32,
+    // First plane of the data that is held, and first and number of those of the light grid that are written.
+    above: u32,
+    first: u32,
+    planes: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -23,14 +27,15 @@ fn optic(value: f32) -> f32 {
 
 @compute @workgroup_size(8, 8)
 fn classify(@builtin(global_invocation_id) id: vec3<u32>) {
-    if any(id >= params.size) { return; }
-    let cover = covered(params.data, params.size, id);
+    if any(id >= vec3(params.size.xy, params.planes)) { return; }
+    let voxel = id + vec3(0u, 0u, params.first);
+    let cover = covered(params.data, params.size, voxel);
     var sum = 0.0;
     for (var k = cover.start.z; k < cover.end.z; k++) {
         for (var j = cover.start.y; j < cover.end.y; j++) {
             for (var i = cover.start.x; i < cover.end.x; i++) {
                 let p = vec3(i, j, k);
-                sum += overlap(params.data, params.size, id, p) * optic(field[index(params.data, p)]);
+                sum += overlap(params.data, params.size, voxel, p) * optic(field[index(params.data, p - vec3(0u, 0u, params.above))]);
             }
         }
     }

@@ -1,6 +1,6 @@
 // Ray casting through data lit by light volumes: L = ∫ T σ_t [ω max(0, Σ weight·value) + j/σ_t] ds. A ray is cut into
 // intervals of `step` from where it enters the box, sampled in the middle of each; α = 1 − e^(−σ_t ds).
-// field, table, majorant, terms, light0…7 → pixels
+// field, table, majorant, terms, light0…7, rays → rays
 //
 // Each term has a light buffer of its own, except that the eighth and all further ones share the last.
 //
@@ -29,6 +29,10 @@ struct Params {
     specular: f32,
     shininess: f32,
     picture: vec2<u32>,
+    // First and last plane of the data that is held.
+    held: vec2<u32>,
+    // Samples are taken whose lower neighbours along z are in these planes, the second excluded.
+    cells: vec2<u32>,
 }
 
 // Number of terms; whether `majorant` is there; whether to shade; whether anything glows.
@@ -56,6 +60,8 @@ struct Term {
     kind: u32,
     direction: vec3<f32>,
     g: f32,
+    // First and last plane that is held.
+    held: vec2<u32>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -71,7 +77,8 @@ struct Term {
 @group(0) @binding(10) var<storage, read> light5: array<f32>;
 @group(0) @binding(11) var<storage, read> light6: array<f32>;
 @group(0) @binding(12) var<storage, read> light7: array<f32>;
-@group(0) @binding(13) var<storage, read_write> pixels: array<vec4<f32>>;
+// For each pixel radiance, transmittance and number of the next sample.
+@group(0) @binding(13) var<storage, read_write> rays: array<f32>;
 
 const MAX_TERMS: u32 = 32u;
 // Transmittance below which a ray ends.
@@ -86,12 +93,14 @@ struct Cell {
     high_weight: vec4<f32>,
 }
 
-fn cell(size: vec3<u32>, position: vec3<f32>) -> Cell {
-    let p = clamp(position, vec3(0.0), vec3<f32>(size - 1u));
-    let base = min(vec3<u32>(p), max(size, vec3(2u)) - 2u);
+fn cell(size: vec3<u32>, held: vec2<u32>, position: vec3<f32>) -> Cell {
+    let first = vec3(0u, 0u, held.x);
+    let last = vec3(size.xy - 1u, held.y);
+    let p = clamp(position, vec3<f32>(first), vec3<f32>(last));
+    let base = min(vec3<u32>(p), max(last, vec3(1u)) - 1u);
     let f = p - vec3<f32>(base);
     let reach = min(vec3(1u), size - 1u);
-    let i = index(size, base);
+    let i = index(size, base - first);
     let row = reach.y * size.x;
     let layer = reach.z * size.x * size.y;
     let low = vec4(i, i + reach.x, i + row, i + row + reach.x);
@@ -100,7 +109,7 @@ fn cell(size: vec3<u32>, position: vec3<f32>) -> Cell {
 }
 
 fn data(position: vec3<f32>) -> f32 {
-    let c = cell(params.size, position);
+    let c = cell(params.size, params.held, position);
     return dot(vec4(field[c.low.x], field[c.low.y], field[c.low.z], field[c.low.w]), c.low_weight)
         + dot(vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]), c.high_weight);
 }
@@ -166,8 +175,9 @@ var<private> weights: array<vec3<f32>, MAX_TERMS>;
 // The cell of a term at a position on the data grid; that of the term before where both have the same grid.
 fn term_cell(t: u32, x: vec3<f32>, before: Cell) -> Cell {
     let size = terms[t].size;
-    if t > 0u && all(size == terms[t - 1u].size) { return before; }
-    return cell(size, (x + 0.5) * vec3<f32>(size) / vec3<f32>(params.size) - 0.5);
+    let held = terms[t].held;
+    if t > 0u && all(size == terms[t - 1u].size) && all(held == terms[t - 1u].held) { return before; }
+    return cell(size, held, (x + 0.5) * vec3<f32>(size) / vec3<f32>(params.size) - 0.5);
 }
 
 // Σ weight·value of all terms, at least 0.
@@ -259,18 +269,15 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     let exits = max(to_low, to_high);
     let near = max(max(entries.x, entries.y), max(entries.z, 0.0));
     let reach = min(exits.x, min(exits.y, exits.z)) - near;
-    let pixel = id.y * params.picture.x + id.x;
-    if !(reach > 0.0) {
-        pixels[pixel] = vec4(0.0);
-        return;
-    }
+    if !(reach > 0.0) { return; }
+    let ray_state = 5u * (id.y * params.picture.x + id.x);
     let entered = params.eye + near * along;
     let count = u32(ceil(reach / params.step));
     let bricks = (params.size + params.edge - 1u) / params.edge;
 
-    var transmittance = 1.0;
-    var radiance = vec3(0.0);
-    var n = 0u;
+    var radiance = vec3(rays[ray_state], rays[ray_state + 1u], rays[ray_state + 2u]);
+    var transmittance = rays[ray_state + 3u];
+    var n = u32(rays[ray_state + 4u]);
     while n < count && transmittance >= OPAQUE {
         let begin = f32(n) * params.step;
         let end = min(begin + params.step, reach);
@@ -287,6 +294,8 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
                 continue;
             }
         }
+        let lower = min(u32(clamp(x.z, 0.0, f32(params.size.z - 1u))), max(params.size.z, 2u) - 2u);
+        if lower < params.cells.x || lower >= params.cells.y { break; }
         n++;
         let value = data(x);
         if value < HOLE { continue; }
@@ -307,5 +316,9 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         radiance += transmittance * added;
         transmittance *= 1.0 - alpha;
     }
-    pixels[pixel] = vec4(radiance, 1.0 - transmittance);
+    rays[ray_state] = radiance.x;
+    rays[ray_state + 1u] = radiance.y;
+    rays[ray_state + 2u] = radiance.z;
+    rays[ray_state + 3u] = transmittance;
+    rays[ray_state + 4u] = f32(n);
 }

@@ -17,6 +17,8 @@ struct Params {
     travel: vec3<i32>,
     // |u_b|/|u_a|, |u_c|/|u_a|: how far upstream the foot lies, in 0..1.
     offset: vec2<f32>,
+    // Index along b, c or a of a plane whose ρ is given and stays; beyond the grid where there is none.
+    given: vec3<u32>,
 }
 
 // A front: `count` numbers in `bricks` from `first` on. For the cubic kernel `first` is the layer.
@@ -123,6 +125,7 @@ fn brick_by_brick(
         for (var j = thread.y; j < extent.y; j += 16u) {
             for (var i = thread.x; i < extent.x; i += 16u) {
                 let p = vec3(start.x + i, start.y + j, a);
+                if any(p == params.given) { continue; }
                 let here = at(p);
                 var value: f32;
                 if entering(p) {

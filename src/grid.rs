@@ -95,6 +95,50 @@ impl Region {
     }
 }
 
+/// Consecutive planes across z of a grid: what is worked on at a time where a volume does not fit. Its values stand alone in
+/// memory, the first plane's first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Slab {
+    /// Values of the whole grid along x, y, z.
+    pub size: [usize; 3],
+    /// The planes.
+    pub planes: std::ops::Range<usize>,
+}
+
+impl Slab {
+    /// All planes of a grid of `size`.
+    pub fn whole(size: [usize; 3]) -> Self {
+        Slab { size, planes: 0..size[2] }
+    }
+
+    /// Values of a plane.
+    pub fn plane(&self) -> usize {
+        self.size[0] * self.size[1]
+    }
+
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        self.plane() * self.planes.len()
+    }
+
+    /// True when there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Its values as a region of the grid.
+    pub fn region(&self) -> Region {
+        let [nx, ny, _] = self.size;
+        Region { start: [0, 0, self.planes.start], size: [nx, ny, self.planes.len()] }
+    }
+
+    /// The planes of a grid of `fine` values along z, over the same box, that lie under these.
+    pub fn under(&self, fine: usize) -> std::ops::Range<usize> {
+        let n = self.size[2];
+        self.planes.start * fine / n..(self.planes.end * fine).div_ceil(n)
+    }
+}
+
 /// A partition of a grid into bricks: the unit of skipping, empty space, paging, parallelism and distribution.
 /// Brick (bx, by, bz) has the number `(bz·ny + by)·nx + bx`; the last brick along an axis may be smaller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,12 +4,14 @@
 //! WGSL (`shaders/NAME.wgsl`) under the same name, with the same equation at the top; a test runs both on the same random
 //! input. What decides (which brick next, what may be skipped, when to stop) lives above, once.
 
+use std::ops::Range;
+
 use glam::Vec3;
 
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Grid};
+use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 use convection::{Convected, Convection, Layers, Spread};
 
@@ -110,13 +112,16 @@ pub struct Sweep {
     /// Foot by clamped Catmull–Rom instead of bilinear weights. Whole-grid only: `fronts` are ignored and every brick is
     /// swept, because a cubic foot reaches downstream bricks of the previous layer.
     pub cubic: bool,
+    /// A slab of a larger grid: its first plane across z, the way the light travels, is the last of the slab before. Its ρ is
+    /// given and stays.
+    pub given: bool,
 }
 
 impl Sweep {
     /// The sweep of `grid` along unit world direction `u`.
     pub fn new(grid: &Grid, u: Vec3, cubic: bool) -> Self {
         let direction: [f32; 3] = std::array::from_fn(|a| (f64::from(u[a]) / grid.spacing[a]) as f32);
-        let sweep = Sweep { size: grid.size, direction, length: 0.0, cubic };
+        let sweep = Sweep { size: grid.size, direction, length: 0.0, cubic, given: false };
         Sweep { length: 1.0 / direction[sweep.axis()].abs(), ..sweep }
     }
 
@@ -274,6 +279,40 @@ impl March<'_> {
     pub const OPAQUE: f32 = 1e-4;
 }
 
+/// A ray on its way, between two slabs.
+#[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct Ray {
+    /// Radiance so far, from the eye on.
+    pub radiance: [f32; 3],
+    /// Transmittance so far.
+    pub transmittance: f32,
+    /// Number of the next sample.
+    pub next: f32,
+}
+
+impl Ray {
+    /// A ray that has not met anything.
+    pub const FRESH: Ray = Ray { radiance: [0.0; 3], transmittance: 1.0, next: 0.0 };
+
+    /// What the ray has gathered: radiance and coverage.
+    pub fn pixel(&self) -> [f32; 4] {
+        let [r, g, b] = self.radiance;
+        [r, g, b, 1.0 - self.transmittance]
+    }
+}
+
+/// A slab of what rays are cast through: `field` and the values of the terms hold only these planes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// Samples are taken whose lower neighbours along z are in these planes of the data.
+    pub cells: Range<usize>,
+    /// Planes of the data that are held: `cells` and one above; with shading one more on both sides.
+    pub field: Range<usize>,
+    /// Planes that each term holds, on its own grid.
+    pub terms: Vec<Range<usize>>,
+}
+
 /// Extinction just outside the medium (see [`Device::extend`]), per world length: far too little to dim anything in a
 /// volume of up to 10¹⁰ world lengths, and far above what f32 cannot hold.
 pub const FAINT: f32 = 1e-18;
@@ -299,6 +338,9 @@ pub trait Device: Send + Sync {
     /// Copies the start of a buffer into host memory.
     fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()>;
 
+    /// Copies `len` values of a buffer, from `start` on, into another one, at `at`.
+    fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()>;
+
     /// Mean of an optical property over the data voxels under each light voxel, after the transfer function, so that
     /// shadows do not depend on the light grid (validation.md 2). Both grids fill the same box; holes count as zero.
     fn classify(
@@ -308,6 +350,19 @@ pub trait Device: Send + Sync {
         data: [usize; 3],
         field: &Buffer,
         size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        self.classify_slab(optic, table, &Slab::whole(data), field, &Slab::whole(size), out)
+    }
+
+    /// The same for a slab of the light grid: `field` holds a slab of the data that reaches under all of it.
+    fn classify_slab(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: &Slab,
+        field: &Buffer,
+        light: &Slab,
         out: &mut Buffer,
     ) -> Result<()>;
 
@@ -319,7 +374,12 @@ pub trait Device: Send + Sync {
     fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>>;
 
     /// Mean of a volume over the voxels of a coarser (or equal) grid that fills the same box.
-    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()>;
+    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()> {
+        self.restrict_slab(&Slab::whole(size), values, &Slab::whole(coarse), out)
+    }
+
+    /// The same for a slab of the coarser grid: `values` holds a slab of the volume that reaches under all of it.
+    fn restrict_slab(&self, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()>;
 
     /// Direct light by short characteristics over the listed bricks, front by front:
     /// `ρ = ρ_foot · exp(−½(σ_foot + σ)·length)`, ρ = 1 and σ = 0 outside; the first layer starts half a voxel inside the
@@ -451,4 +511,8 @@ pub trait Device: Send + Sync {
 
     /// Ray casting: see [`March`]. Pixels are premultiplied by coverage.
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()>;
+
+    /// Carries the rays of a picture through a slab: see [`Part`]. Rays that come by later than the slabs that they meet
+    /// first are as in [`Device::march`], to the bit.
+    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()>;
 }

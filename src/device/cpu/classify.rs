@@ -6,25 +6,21 @@ use rayon::prelude::*;
 use super::simd::dispatch;
 use crate::device::Optic;
 use crate::field::HOLE;
+use crate::grid::Slab;
 use crate::transfer::Table;
 
 /// reads data values → writes a property on a grid of the same box.
-pub(crate) fn classify(
-    optic: Optic,
-    table: &Table,
-    data: [usize; 3],
-    field: &[f32],
-    size: [usize; 3],
-    out: &mut [f32],
-) {
+pub(crate) fn classify(optic: Optic, table: &Table, data: &Slab, field: &[f32], light: &Slab, out: &mut [f32]) {
     let curve = optic.curve(table);
     let (lo, scale) = (table.lo, table.scale());
-    mean(data, size, out, |row, values| look_up(&field[row * data[0]..][..data[0]], &curve, lo, scale, values));
+    let nx = data.size[0];
+    mean(data, light, out, |row, values| look_up(&field[row * nx..][..nx], &curve, lo, scale, values));
 }
 
 /// reads values → writes their mean on a coarser (or equal) grid of the same box.
-pub(crate) fn restrict(size: [usize; 3], values: &[f32], coarse: [usize; 3], out: &mut [f32]) {
-    mean(size, coarse, out, |row, out| out.copy_from_slice(&values[row * size[0]..][..size[0]]));
+pub(crate) fn restrict(fine: &Slab, values: &[f32], coarse: &Slab, out: &mut [f32]) {
+    let nx = fine.size[0];
+    mean(fine, coarse, out, |row, out| out.copy_from_slice(&values[row * nx..][..nx]));
 }
 
 dispatch! {
@@ -52,22 +48,26 @@ fn cover(fine: usize, coarse: usize, i: usize) -> impl Iterator<Item = (usize, f
     })
 }
 
-/// Box mean of rows that `read` provides, row number `k·ny + j` of the fine grid.
-fn mean(fine: [usize; 3], coarse: [usize; 3], out: &mut [f32], read: impl Fn(usize, &mut [f32]) + Sync) {
+/// Box mean of rows that `read` provides, row number `k·ny + j` of the fine slab.
+fn mean(fine: &Slab, coarse: &Slab, out: &mut [f32], read: impl Fn(usize, &mut [f32]) + Sync) {
+    let (first, under) = (coarse.planes.start, coarse.under(fine.size[2]));
+    assert!(fine.planes.start <= under.start && under.end <= fine.planes.end, "the slab under the coarse one");
+    let (above, len) = (fine.planes.start, coarse.len());
+    let (fine, coarse) = (fine.size, coarse.size);
     let [nx, ny, nz] = coarse;
     let columns: Vec<Vec<(usize, f32)>> = (0..nx).map(|i| cover(fine[0], nx, i).collect()).collect();
     let halves = fine[0] == 2 * nx;
-    out[..nx * ny * nz].par_chunks_exact_mut(nx).enumerate().with_min_len(16).for_each_init(
+    out[..len].par_chunks_exact_mut(nx).enumerate().with_min_len(16).for_each_init(
         || (vec![0.0f32; fine[0]], vec![0.0f32; fine[0]]),
         |(row, sum), (index, out)| {
-            let (j, k) = (index % ny, index / ny);
+            let (j, k) = (index % ny, first + index / ny);
             if fine == coarse {
-                return read(index, out);
+                return read((k - above) * ny + j, out);
             }
             sum.fill(0.0);
             for (z, wz) in cover(fine[2], nz, k) {
                 for (y, wy) in cover(fine[1], ny, j) {
-                    read(z * fine[1] + y, row);
+                    read((z - above) * fine[1] + y, row);
                     sum.iter_mut().zip(row.iter()).for_each(|(s, v)| *s += wz * wy * v);
                 }
             }
@@ -97,7 +97,7 @@ mod tests {
             let coarse = [cx.min(nx), cy.min(ny), cz.min(nz)];
             let values: Vec<f32> = (0..nx * ny * nz).map(|i| ((i as u32).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 8) as f32 / 16_777_216.0).collect();
             let mut out = vec![0.0; coarse.iter().product()];
-            restrict([nx, ny, nz], &values, coarse, &mut out);
+            restrict(&Slab::whole([nx, ny, nz]), &values, &Slab::whole(coarse), &mut out);
             let mean = |v: &[f32]| v.iter().map(|&v| f64::from(v)).sum::<f64>() / v.len() as f64;
             prop_assert!((mean(&values) - mean(&out)).abs() < 1e-5);
         }

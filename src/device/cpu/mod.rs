@@ -3,10 +3,10 @@
 use std::sync::{Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers, Spread};
-use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
+use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::BrickLayout;
+use crate::grid::{BrickLayout, Slab};
 use crate::transfer::Table;
 
 mod bricks;
@@ -105,16 +105,21 @@ impl Device for Cpu {
         Ok(())
     }
 
-    fn classify(
+    fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()> {
+        host_mut(into)[at..at + len].copy_from_slice(&host(from)[start..start + len]);
+        Ok(())
+    }
+
+    fn classify_slab(
         &self,
         optic: Optic,
         table: &Table,
-        data: [usize; 3],
+        data: &Slab,
         field: &Buffer,
-        size: [usize; 3],
+        light: &Slab,
         out: &mut Buffer,
     ) -> Result<()> {
-        self.pool.install(|| classify::classify(optic, table, data, host(field), size, host_mut(out)));
+        self.pool.install(|| classify::classify(optic, table, data, host(field), light, host_mut(out)));
         Ok(())
     }
 
@@ -126,8 +131,8 @@ impl Device for Cpu {
         Ok(self.pool.install(|| bricks::change(layout, host(now), host(before))))
     }
 
-    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()> {
-        self.pool.install(|| classify::restrict(size, host(values), coarse, host_mut(out)));
+    fn restrict_slab(&self, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| classify::restrict(fine, host(values), coarse, host_mut(out)));
         Ok(())
     }
 
@@ -248,6 +253,11 @@ impl Device for Cpu {
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
         self.pool.install(|| march::march(march, frame));
+        Ok(())
+    }
+
+    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
+        self.pool.install(|| march::march_slab(march, part, picture, rays));
         Ok(())
     }
 }

@@ -112,6 +112,7 @@ pub(crate) fn sweep(
     let shared = Shared::new(rho);
     let listed = fronts.iter().map(|f| f.len()).sum();
     if sweep.cubic {
+        assert!(!sweep.given, "a cubic foot needs the whole grid");
         super::sweep_cubic::sweep(&axes, sweep, sigma, shared);
         return vec![f32::INFINITY; listed];
     }
@@ -143,9 +144,10 @@ fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
     let size = sweep.size;
     let along = [axes.layer, axes.row, axes.col];
     let forward = [axes.ascending, axes.row_offset >= 0.0, axes.col_offset >= 0.0];
+    let swept = swept(sweep);
     // Layers, rows, columns of a block. Along x memory runs with the layers, else with the columns.
     let block = if axes.layer == 0 { [256, 16, 128] } else { [32, 16, size[0]] };
-    let counts: [usize; 3] = std::array::from_fn(|a| size[along[a]].div_ceil(block[a]));
+    let counts: [usize; 3] = std::array::from_fn(|a| swept.size[along[a]].div_ceil(block[a]));
     for diagonal in 0..counts.iter().sum::<usize>() - 2 {
         let blocks: Vec<[usize; 3]> = (0..counts[0] * counts[1])
             .map(|i| [i % counts[0], i / counts[0]])
@@ -156,8 +158,8 @@ fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
             let mut region = Region { start: [0; 3], size };
             for a in 0..3 {
                 let part = if forward[a] { at[a] } else { counts[a] - 1 - at[a] };
-                region.start[along[a]] = part * block[a];
-                region.size[along[a]] = block[a].min(size[along[a]] - part * block[a]);
+                region.start[along[a]] = swept.start[along[a]] + part * block[a];
+                region.size[along[a]] = block[a].min(swept.size[along[a]] - part * block[a]);
             }
             if axes.layer == 0 {
                 SCRATCH.with_borrow_mut(|scratch| region_along_x(axes, sweep, region, sigma, rho, scratch, false));
@@ -171,6 +173,16 @@ fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
             });
         });
     }
+}
+
+/// What is swept of a grid: all but a given plane.
+fn swept(sweep: &Sweep) -> Region {
+    let (mut start, mut size) = ([0; 3], sweep.size);
+    if sweep.given {
+        size[2] -= 1;
+        start[2] = usize::from(sweep.ascending()[2]);
+    }
+    Region { start, size }
 }
 
 thread_local! {

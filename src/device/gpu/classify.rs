@@ -7,6 +7,7 @@ use super::shader::{CLASSIFY, RESTRICT};
 use super::{Gpu, holds, uvec3};
 use crate::device::{Buffer, Optic};
 use crate::error::Result;
+use crate::grid::Slab;
 use crate::transfer::Table;
 
 #[derive(ShaderType)]
@@ -16,12 +17,18 @@ pub(super) struct Classify {
     size: UVec3,
     scale: f32,
     entries: u32,
+    above: u32,
+    first: u32,
+    planes: u32,
 }
 
 #[derive(ShaderType)]
 pub(super) struct Restrict {
     size: UVec3,
+    above: u32,
     coarse: UVec3,
+    first: u32,
+    planes: u32,
 }
 
 /// One invocation for each value of a grid, in workgroups of 8 × 8 × 1.
@@ -38,50 +45,53 @@ pub(super) fn classify(
     gpu: &Gpu,
     optic: Optic,
     table: &Table,
-    data: [usize; 3],
+    data: &Slab,
     field: &Buffer,
-    size: [usize; 3],
+    light: &Slab,
     out: &mut Buffer,
 ) -> Result<()> {
-    gpu.rounds(under(data, size), "a light grid so much coarser than the data")?;
+    gpu.rounds(under(data.size, light.size), "a light grid so much coarser than the data")?;
     let curve = optic.curve(table);
     let params = Classify {
-        data: uvec3(data),
+        data: uvec3(data.size),
         lo: table.lo,
-        size: uvec3(size),
+        size: uvec3(light.size),
         scale: table.scale(),
         entries: curve.len() as u32,
+        above: data.planes.start as u32,
+        first: light.planes.start as u32,
+        planes: light.planes.len() as u32,
     };
     gpu.run(
         &CLASSIFY,
         "classify",
         &[
             ("params", &gpu.uniform(&params)?),
-            ("field", holds(field, data.iter().product())?),
+            ("field", holds(field, data.len())?),
             ("table", &gpu.storage(&curve)?),
-            ("out", holds(out, size.iter().product())?),
+            ("out", holds(out, light.len())?),
         ],
-        groups(size),
+        groups(light.region().size),
     )
 }
 
-pub(super) fn restrict(
-    gpu: &Gpu,
-    size: [usize; 3],
-    values: &Buffer,
-    coarse: [usize; 3],
-    out: &mut Buffer,
-) -> Result<()> {
-    gpu.rounds(under(size, coarse), "a grid so much coarser than the volume")?;
-    let params = Restrict { size: uvec3(size), coarse: uvec3(coarse) };
+pub(super) fn restrict(gpu: &Gpu, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()> {
+    gpu.rounds(under(fine.size, coarse.size), "a grid so much coarser than the volume")?;
+    let params = Restrict {
+        size: uvec3(fine.size),
+        above: fine.planes.start as u32,
+        coarse: uvec3(coarse.size),
+        first: coarse.planes.start as u32,
+        planes: coarse.planes.len() as u32,
+    };
     gpu.run(
         &RESTRICT,
         "restrict_mean",
         &[
             ("params", &gpu.uniform(&params)?),
-            ("values", holds(values, size.iter().product())?),
-            ("out", holds(out, coarse.iter().product())?),
+            ("values", holds(values, fine.len())?),
+            ("out", holds(out, coarse.len())?),
         ],
-        groups(coarse),
+        groups(coarse.region().size),
     )
 }

@@ -1,13 +1,16 @@
 //! Ray casting through data lit by light volumes.
 
+use std::ops::Range;
+
 use encase::ShaderType;
 use glam::{DVec3, UVec2, UVec3, Vec3};
 
 use super::shader::MARCH;
 use super::{Gpu, holds, uvec3};
-use crate::device::{March, Term, Weight};
+use crate::device::{March, Part, Ray, Term, Weight};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
+use crate::grid::Grid;
 
 /// Light buffers that `shaders/march.wgsl` binds.
 const SLOTS: usize = 8;
@@ -36,6 +39,8 @@ pub(super) struct Params {
     specular: f32,
     shininess: f32,
     picture: UVec2,
+    held: UVec2,
+    cells: UVec2,
 }
 
 #[derive(ShaderType)]
@@ -53,12 +58,24 @@ struct TermParams {
     kind: u32,
     direction: Vec3,
     g: f32,
+    held: UVec2,
 }
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
+    let mut rays = vec![Ray::FRESH; frame.pixels.len()];
+    let all = Part {
+        cells: 0..march.grid.size[2],
+        field: 0..march.grid.size[2],
+        terms: march.terms.iter().map(|t| 0..t.grid.size[2]).collect(),
+    };
+    march_slab(gpu, march, &all, frame.size, &mut rays)?;
+    frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
+    Ok(())
+}
+
+pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
     let (grid, table) = (march.grid, march.table);
-    if grid.is_empty() || frame.size.contains(&0) {
-        frame.pixels.fill([0.0; 4]);
+    if grid.is_empty() || picture.contains(&0) {
         return Ok(());
     }
     if march.terms.len() > MAX_TERMS {
@@ -75,9 +92,9 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
             emission: table.emission.get(i).copied().unwrap_or_default().into(),
         })
         .collect();
-    let (terms, buffers) = place(gpu, march.terms)?;
-    let params = params(march, frame.size, optics.len());
-    let pixels = gpu.scratch(4 * frame.pixels.len())?;
+    let (terms, buffers) = place(gpu, march.terms, &part.terms)?;
+    let params = params(march, part, picture, optics.len());
+    let carried = gpu.storage(bytemuck::cast_slice::<Ray, f32>(rays))?;
 
     let params = gpu.uniform(&params)?;
     let table = gpu.structures(&optics)?;
@@ -86,11 +103,11 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
     let unused = gpu.scratch(1)?;
     let mut bindings = vec![
         ("params", &params),
-        ("field", holds(march.field, grid.len())?),
+        ("field", holds(march.field, planes(grid, &part.field))?),
         ("table", &table),
         ("majorant", &majorant),
         ("terms", &terms),
-        ("pixels", &pixels),
+        ("rays", &carried),
     ];
     bindings.extend(LIGHTS.iter().enumerate().map(|(i, name)| (*name, buffers.get(i).unwrap_or(&unused))));
     let parts = [
@@ -99,11 +116,21 @@ pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
         ("SHADE", f64::from(march.phong.is_some())),
         ("GLOW", f64::from(march.table.emission.as_flattened().iter().any(|e| *e != 0.0))),
     ];
-    gpu.run_with(&MARCH, "march", &parts, &bindings, [frame.size[0].div_ceil(8), frame.size[1].div_ceil(8), 1])?;
-    gpu.read(&pixels, bytemuck::cast_slice_mut(&mut frame.pixels))
+    gpu.run_with(&MARCH, "march", &parts, &bindings, [picture[0].div_ceil(8), picture[1].div_ceil(8), 1])?;
+    gpu.read(&carried, bytemuck::cast_slice_mut(rays))
 }
 
-fn params(march: &March, picture: [usize; 2], entries: usize) -> Params {
+/// Values of some planes of a grid.
+fn planes(grid: &Grid, held: &Range<usize>) -> usize {
+    grid.size[0] * grid.size[1] * held.len()
+}
+
+/// First and last plane.
+fn ends(held: &Range<usize>) -> UVec2 {
+    UVec2::new(held.start as u32, held.end as u32 - 1)
+}
+
+fn params(march: &March, part: &Part, picture: [usize; 2], entries: usize) -> Params {
     let (grid, camera) = (march.grid, march.camera);
     let spacing = DVec3::from(grid.spacing);
     let (lo, hi) = grid.bounds();
@@ -128,26 +155,28 @@ fn params(march: &March, picture: [usize; 2], entries: usize) -> Params {
         specular: phong.map_or(0.0, |p| p.specular),
         shininess: phong.map_or(0.0, |p| p.shininess),
         picture: UVec2::new(picture[0] as u32, picture[1] as u32),
+        held: ends(&part.field),
+        cells: UVec2::new(part.cells.start as u32, part.cells.end as u32),
     }
 }
 
 /// The terms as the kernel takes them, largest first, and their light buffers: one for each term, but the last is shared,
 /// its terms copied together, where there are more.
-fn place(gpu: &Gpu, terms: &[Term]) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer>)> {
-    let mut order: Vec<&Term> = terms.iter().collect();
-    order.sort_by_key(|t| std::cmp::Reverse((t.grid.len(), t.grid.size)));
-    let mut placed: Vec<TermParams> = order.iter().map(|t| term_params(t)).collect();
+fn place(gpu: &Gpu, terms: &[Term], held: &[Range<usize>]) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer>)> {
+    let mut order: Vec<(&Term, &Range<usize>)> = terms.iter().zip(held).collect();
+    order.sort_by_key(|(t, held)| std::cmp::Reverse((t.grid.len(), t.grid.size, held.start)));
+    let mut placed: Vec<TermParams> = order.iter().map(|(t, held)| term_params(t, held)).collect();
     let alone = if terms.len() <= SLOTS { terms.len() } else { SLOTS - 1 };
     let mut buffers = Vec::new();
-    for term in &order[..alone] {
-        buffers.push(holds(term.values, term.grid.len())?.clone());
+    for (term, held) in &order[..alone] {
+        buffers.push(holds(term.values, planes(term.grid, held))?.clone());
     }
     if alone < terms.len() {
-        let shared = gpu.scratch(order[alone..].iter().map(|t| t.grid.len()).sum())?;
+        let shared = gpu.scratch(order[alone..].iter().map(|(t, held)| planes(t.grid, held)).sum())?;
         let mut encoder = gpu.encoder();
         let mut first = 0;
-        for (term, placed) in order[alone..].iter().zip(&mut placed[alone..]) {
-            let len = term.grid.len();
+        for ((term, held), placed) in order[alone..].iter().zip(&mut placed[alone..]) {
+            let len = planes(term.grid, held);
             encoder.copy_buffer_to_buffer(holds(term.values, len)?, 0, &shared, 4 * first as u64, 4 * len as u64);
             placed.first = first as u32;
             first += len;
@@ -158,11 +187,11 @@ fn place(gpu: &Gpu, terms: &[Term]) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer
     Ok((placed, buffers))
 }
 
-fn term_params(term: &Term) -> TermParams {
+fn term_params(term: &Term, held: &Range<usize>) -> TermParams {
     let (kind, weight, direction, g) = match term.weight {
         Weight::Uniform(weight) => (0, weight, Vec3::ZERO, 0.0),
         Weight::Phase { direction, irradiance, g } => (1, irradiance, direction, g),
         Weight::Current { axis, weight } => (2, weight, Vec3::AXES[axis], 0.0),
     };
-    TermParams { size: uvec3(term.grid.size), first: 0, weight: weight.into(), kind, direction, g }
+    TermParams { size: uvec3(term.grid.size), first: 0, weight: weight.into(), kind, direction, g, held: ends(held) }
 }

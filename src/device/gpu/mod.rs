@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
 use crate::device::convection::{Convected, Convection, Layers, Spread};
-use crate::device::{Buffer, Device, March, Optic, SourceTerm, Storage, Sweep, Transport};
+use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::BrickLayout;
+use crate::grid::{BrickLayout, Slab};
 use crate::transfer::Table;
 
 mod adapter;
@@ -314,16 +314,23 @@ impl Device for Gpu {
         self.read(holds(from, out.len())?, bytemuck::cast_slice_mut(out))
     }
 
-    fn classify(
+    fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()> {
+        let (from, into) = (holds(from, start + len)?, holds(into, at + len)?);
+        let mut encoder = self.encoder();
+        encoder.copy_buffer_to_buffer(from, 4 * start as u64, into, 4 * at as u64, 4 * len as u64);
+        self.submit(encoder)
+    }
+
+    fn classify_slab(
         &self,
         optic: Optic,
         table: &Table,
-        data: [usize; 3],
+        data: &Slab,
         field: &Buffer,
-        size: [usize; 3],
+        light: &Slab,
         out: &mut Buffer,
     ) -> Result<()> {
-        classify::classify(self, optic, table, data, field, size, out)
+        classify::classify(self, optic, table, data, field, light, out)
     }
 
     fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
@@ -334,8 +341,8 @@ impl Device for Gpu {
         bricks::change(self, layout, now, before)
     }
 
-    fn restrict(&self, size: [usize; 3], values: &Buffer, coarse: [usize; 3], out: &mut Buffer) -> Result<()> {
-        classify::restrict(self, size, values, coarse, out)
+    fn restrict_slab(&self, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()> {
+        classify::restrict(self, fine, values, coarse, out)
     }
 
     fn sweep(
@@ -441,6 +448,10 @@ impl Device for Gpu {
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
         march::march(self, march, frame)
+    }
+
+    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
+        march::march_slab(self, march, part, picture, rays)
     }
 }
 

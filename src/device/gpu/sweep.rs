@@ -19,6 +19,7 @@ pub(super) struct Params {
     brick_stride: UVec3,
     travel: IVec3,
     offset: Vec2,
+    given: UVec3,
 }
 
 /// The axes with the dominant one last: a kernel's (b, c, a). Of the lateral ones, that which is contiguous in memory
@@ -48,6 +49,16 @@ pub(super) fn sweep(
     let (size, counts) = (axes.map(|a| sweep.size[a]), layout.counts());
     let ascending = sweep.ascending();
     let offset = |a: usize| (sweep.direction[a] / sweep.direction[sweep.axis()]).abs().min(1.0);
+    let given = |a: usize| match a {
+        2 if sweep.given => {
+            if ascending[2] {
+                0
+            } else {
+                sweep.size[2] as u32 - 1
+            }
+        }
+        _ => u32::MAX,
+    };
     let params = Params {
         size: uvec3(size),
         edge: layout.edge as u32,
@@ -57,6 +68,7 @@ pub(super) fn sweep(
         brick_stride: uvec3(axes.map(|a| strides(counts)[a])),
         travel: IVec3::from_array(axes.map(|a| if ascending[a] { 1 } else { -1 })),
         offset: Vec2::new(offset(axes[0]), offset(axes[1])),
+        given: UVec3::from_array(axes.map(given)),
     };
     let values = sweep.size.iter().product();
     let changes = gpu.scratch(layout.len())?;
@@ -76,6 +88,7 @@ pub(super) fn sweep(
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_bind_group(0, &bound, &[]);
         if sweep.cubic {
+            assert!(!sweep.given, "a cubic foot needs the whole grid");
             pass.set_pipeline(&kernel.pipeline(&gpu.device, "layer_by_layer", &[]));
             for l in 0..size[2] {
                 let layer = if params.travel.z > 0 { l } else { size[2] - 1 - l };

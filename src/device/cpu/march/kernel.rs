@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::lanes::{Lanes, opacity};
 use super::plan::{Albedo, Column, Group, Lattice, Optics, Plan, Volume};
-use crate::device::{March, Phong, Weight};
+use crate::device::{March, Phong, Ray, Weight};
 
 /// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
 pub(super) const TILE: usize = 16;
@@ -15,32 +15,8 @@ pub(super) const TILE: usize = 16;
 /// 157 at 1, 143 at 2, 133 at 4, 124 at 8, 124 at 12.
 const RUN: usize = 8;
 
-/// Pixels of one tile, row by row.
-pub(super) type Tile = [[f32; 4]; TILE * TILE];
-
-/// Casts the rays of the tile whose first pixel is `first`.
-#[inline(always)]
-pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], out: &mut Tile) {
-    assert!(plan.reach <= V::REACH, "indices must fit");
-    let [w, h] = V::SHAPE;
-    let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
-    let mut lanes = [[0.0; 16]; 4];
-    for y in (0..TILE).step_by(h) {
-        for x in (0..TILE).step_by(w) {
-            let at = [first[0] + x, first[1] + y];
-            if at[0] >= plan.picture[0] || at[1] >= plan.picture[1] {
-                continue;
-            }
-            let rgba = packet::<V>(plan, at, &mut weights);
-            for (channel, lanes) in rgba.into_iter().zip(&mut lanes) {
-                channel.store(lanes);
-            }
-            for l in 0..w * h {
-                out[(y + l / w) * TILE + x + l % w] = std::array::from_fn(|c| lanes[c][l]);
-            }
-        }
-    }
-}
+/// Rays of one tile, row by row.
+pub(super) type Tile = [Ray; TILE * TILE];
 
 /// `[value with a = 0, with a = 1, with a = 2]`. Not a closure: one would be compiled without the caller's instruction set.
 macro_rules! three {
@@ -62,6 +38,38 @@ macro_rules! three {
     };
 }
 
+/// Carries the rays of the tile whose first pixel is `first` on.
+#[inline(always)]
+pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
+    assert!(plan.reach <= V::REACH, "indices must fit");
+    let [w, h] = V::SHAPE;
+    let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
+    let mut lanes = [[0.0; 16]; 5];
+    for y in (0..TILE).step_by(h) {
+        for x in (0..TILE).step_by(w) {
+            let at = [first[0] + x, first[1] + y];
+            if at[0] >= plan.picture[0] || at[1] >= plan.picture[1] {
+                continue;
+            }
+            let ray = |l: usize| (y + l / w) * TILE + x + l % w;
+            let mut state = State {
+                radiance: three!(c => V::from_fn(|l| rays[ray(l)].radiance[c])),
+                transmittance: V::from_fn(|l| rays[ray(l)].transmittance),
+                next: V::from_fn(|l| rays[ray(l)].next),
+            };
+            packet(plan, at, &mut weights, &mut state);
+            let [r, g, b] = state.radiance;
+            for (value, lanes) in [r, g, b, state.transmittance, state.next].into_iter().zip(&mut lanes) {
+                value.store(lanes);
+            }
+            for l in 0..w * h {
+                let [r, g, b, transmittance, next] = std::array::from_fn(|c| lanes[c][l]);
+                rays[ray(l)] = Ray { radiance: [r, g, b], transmittance, next };
+            }
+        }
+    }
+}
+
 #[inline(always)]
 fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
     a[0] * V::splat(b.x) + a[1] * V::splat(b.y) + a[2] * V::splat(b.z)
@@ -70,6 +78,13 @@ fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
 #[inline(always)]
 fn dots<V: Lanes>(a: [V; 3], b: [V; 3]) -> V {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// What the rays of a packet carry along.
+struct State<V> {
+    radiance: [V; 3],
+    transmittance: V,
+    next: V,
 }
 
 /// Rays of a packet in index space; `t` is world length from where they enter the box.
@@ -140,8 +155,8 @@ struct Cell<V: Lanes> {
 impl<V: Lanes> Cell<V> {
     #[inline(always)]
     fn new(lattice: &Lattice, position: [V; 3]) -> Self {
-        // `max` first: it turns a NaN into 0, so that indices stay inside whatever comes.
-        let clamped = three!(a => position[a].max(V::splat(0.0)).min(V::splat(lattice.last[a])));
+        // `max` first: it turns a NaN into a number, so that indices stay inside whatever comes.
+        let clamped = three!(a => position[a].max(V::splat(lattice.first[a])).min(V::splat(lattice.last[a])));
         let corner = three!(a => clamped[a].min(V::splat(lattice.last_cell[a])).trunc());
         let upper = three!(a => clamped[a] - V::float(corner[a]));
         Cell { first: V::linear(corner, lattice.stride), upper, lower: three!(a => V::splat(1.0) - upper[a]) }
@@ -156,16 +171,16 @@ impl<V: Lanes> Cell<V> {
     /// Trilinear interpolation.
     #[inline(always)]
     fn value(&self, lattice: &Lattice, volume: &Volume) -> V {
-        let p = volume.as_ptr();
+        let p = volume.origin();
         let [y, z, yz] = lattice.corners;
-        // SAFETY: a cell's lower corner is at most last_cell along each axis, so that the corners' offsets (0 along an axis
+        // SAFETY: a cell's lower corner is first..=last_cell along each axis, so that the corners' offsets (0 along an axis
         // with one value; rows have at least two) stay inside; `tile` has checked REACH.
         let [a, b, c, d] = unsafe {
             [
                 V::pairs(p, self.first),
-                V::pairs(p.add(y), self.first),
-                V::pairs(p.add(z), self.first),
-                V::pairs(p.add(yz), self.first),
+                V::pairs(p.wrapping_add(y), self.first),
+                V::pairs(p.wrapping_add(z), self.first),
+                V::pairs(p.wrapping_add(yz), self.first),
             ]
         };
         let front = self.mix(1, (self.mix(0, a), self.mix(0, b)));
@@ -290,7 +305,7 @@ fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
         let (position, ds) = rays.sample(n);
         // The brick of the cell that the sample reads, so that rounding cannot put a sample into the wrong brick.
         let brick = three!(a => {
-            let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.lattice.last_cell[a])).trunc();
+            let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.last_cell[a])).trunc();
             ((V::float(cell) + V::splat(0.5)) * V::splat(empty.per_edge)).trunc()
         });
         // SAFETY: cells are inside the grid, so their bricks are inside the layout.
@@ -315,16 +330,32 @@ fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
     }
 }
 
-/// Radiance and coverage of a packet of rays.
+/// The samples whose cells lie in a window.
 #[inline(always)]
-fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 4] {
+fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> V::Mask {
+    let cell = V::float(position[2].max(V::splat(0.0)).min(V::splat(plan.last_cell[2])).trunc());
+    V::splat(above).lt(cell) & cell.lt(V::splat(below))
+}
+
+/// Carries a packet of rays on.
+#[inline(always)]
+fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: &mut State<V>) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    let mut radiance = [zero; 3];
-    let mut transmittance = one;
+    let State { mut radiance, mut transmittance, next: mut n } = *state;
     let rays = Rays::<V>::new(plan, at);
-    let mut live = zero.lt(rays.length);
+    let mut live = zero.lt(rays.length) & V::splat(March::OPAQUE).lt(transmittance);
+    // Where rays leave the window; nowhere so far.
+    let mut left = V::splat(-1.0);
+    if let Some(window) = plan.window {
+        n = skip(plan, &rays, n, live);
+        let (position, ds) = rays.sample(n);
+        state.next = n;
+        if !V::any(live & zero.lt(ds) & within(plan, window, position)) {
+            return;
+        }
+    }
     if !V::any(live) {
-        return [zero; 4];
+        return;
     }
     let terms = plan.groups.iter().flat_map(|group| &group.terms);
     for (lanes, (_, of)) in weights.iter_mut().zip(terms) {
@@ -332,7 +363,6 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 
     }
 
     let optics = &plan.optics;
-    let mut n = zero;
     loop {
         n = skip(plan, &rays, n, live);
         live = live & zero.lt(rays.length - n * rays.step);
@@ -341,6 +371,14 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 
         }
         for _ in 0..RUN {
             let (position, ds) = rays.sample(n);
+            if let Some(window) = plan.window {
+                let inside = within(plan, window, position);
+                left = V::select(live, V::select(inside, left, n), left);
+                live = live & inside;
+                if !V::any(live) {
+                    break;
+                }
+            }
             n = n + one;
             let cell = Cell::new(&plan.lattice, position);
             let value = cell.value(&plan.lattice, &plan.data);
@@ -379,5 +417,5 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]]) -> [V; 
             live = live & V::splat(March::OPAQUE).lt(transmittance);
         }
     }
-    [radiance[0], radiance[1], radiance[2], one - transmittance]
+    *state = State { radiance, transmittance, next: V::select(left.lt(zero), n, left) };
 }

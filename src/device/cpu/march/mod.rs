@@ -14,29 +14,40 @@ use rayon::prelude::*;
 use self::kernel::{TILE, Tile, tile};
 use self::lanes::Array;
 use self::plan::Plan;
-use crate::device::March;
 use crate::device::cpu::simd::{self, Level};
+use crate::device::{March, Part, Ray};
 use crate::frame::Frame;
 
 /// Casts the rays of `frame` on the threads of the current rayon pool with the best instruction set. See [`March`].
 pub fn march(march: &March, frame: &mut Frame) {
-    let Some(plan) = Plan::new(march, frame.size) else { return frame.pixels.fill([0.0; 4]) };
-    // A volume that 32-bit indices cannot address is marched without gathers.
-    let level = if plan.reach > i32::MAX as usize { Level::Portable } else { simd::level() };
-    tiles(&plan, frame, at_level(level));
+    let Some(plan) = Plan::new(march, None, frame.size) else { return frame.pixels.fill([0.0; 4]) };
+    frame.pixels = cast(&plan, at_level(level(&plan)));
+}
+
+/// Carries rays through a slab. See [`Device::march_slab`](crate::device::Device::march_slab).
+pub fn march_slab(march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) {
+    assert_eq!(rays.len(), picture[0] * picture[1], "a ray for each pixel");
+    if let Some(plan) = Plan::new(march, Some(part), picture) {
+        tiles(&plan, rays, at_level(level(&plan)));
+    }
+}
+
+/// A volume that 32-bit indices cannot address is marched without gathers.
+fn level(plan: &Plan) -> Level {
+    if plan.reach > i32::MAX as usize { Level::Portable } else { simd::level() }
 }
 
 /// The scalar twin of [`march()`]: one ray after another in plain f32 code, with the same skipping and the same tiles,
 /// compiled for the same instruction set.
 pub fn march_scalar(march: &March, frame: &mut Frame) {
-    let Some(plan) = Plan::new(march, frame.size) else { return frame.pixels.fill([0.0; 4]) };
+    let Some(plan) = Plan::new(march, None, frame.size) else { return frame.pixels.fill([0.0; 4]) };
     let kernel: Kernel = match simd::level() {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `simd::level` has asked the processor.
         Level::Avx512 | Level::Avx2 => |plan, first, out| unsafe { x86::scalar(plan, first, out) },
         _ => tile::<Array<1>>,
     };
-    tiles(&plan, frame, kernel);
+    frame.pixels = cast(&plan, kernel);
 }
 
 type Kernel = fn(&Plan, [usize; 2], &mut Tile);
@@ -76,16 +87,36 @@ mod x86 {
     }
 }
 
-/// Fills the frame tile by tile.
-fn tiles(plan: &Plan, frame: &mut Frame, kernel: Kernel) {
-    let [width, height] = frame.size;
-    let across = width.div_ceil(TILE);
-    let mut tiles = vec![[[0.0; 4]; TILE * TILE]; across * height.div_ceil(TILE)];
-    tiles.par_iter_mut().enumerate().for_each(|(i, tile)| kernel(plan, [i % across * TILE, i / across * TILE], tile));
-    frame.pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        for (x, pixels) in row.chunks_mut(TILE).enumerate() {
-            let tile = &tiles[y / TILE * across + x];
-            pixels.copy_from_slice(&tile[y % TILE * TILE..][..pixels.len()]);
+/// The pixels of rays cast from the eye to their end.
+fn cast(plan: &Plan, kernel: Kernel) -> Vec<[f32; 4]> {
+    let mut rays = vec![Ray::FRESH; plan.picture[0] * plan.picture[1]];
+    tiles(plan, &mut rays, kernel);
+    rays.par_iter().with_min_len(1 << 12).map(Ray::pixel).collect()
+}
+
+/// Carries rays on, a band of tiles at a time.
+fn tiles(plan: &Plan, rays: &mut [Ray], kernel: Kernel) {
+    let width = plan.picture[0];
+    rays.par_chunks_mut(TILE * width).enumerate().for_each(|(j, band)| {
+        let columns: Vec<usize> = (0..width).step_by(TILE).collect();
+        let tiles: Vec<Tile> = columns
+            .par_iter()
+            .with_max_len(1)
+            .map(|&x| {
+                let mut tile = [Ray::FRESH; TILE * TILE];
+                for (row, tile) in band.chunks(width).zip(tile.chunks_mut(TILE)) {
+                    let row = &row[x..width.min(x + TILE)];
+                    tile[..row.len()].copy_from_slice(row);
+                }
+                kernel(plan, [x, j * TILE], &mut tile);
+                tile
+            })
+            .collect();
+        for (&x, tile) in columns.iter().zip(&tiles) {
+            for (row, tile) in band.chunks_mut(width).zip(tile.chunks(TILE)) {
+                let row = &mut row[x..width.min(x + TILE)];
+                row.copy_from_slice(&tile[..row.len()]);
+            }
         }
     });
 }

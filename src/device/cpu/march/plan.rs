@@ -1,40 +1,46 @@
 //! What all rays of a picture share: the march in index space, with everything that does not depend on the pixel computed.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
 use super::empty::Distances;
 use crate::device::cpu::host;
-use crate::device::{March, Phong, Weight};
+use crate::device::{March, Part, Phong, Weight};
+use crate::grid::Slab;
 use crate::transfer::Table;
 
 /// A dense array that can be interpolated: at least two values along x, so that neighbours along x are read as pairs.
 pub(super) struct Volume<'a> {
     values: Cow<'a, [f32]>,
+    /// Values of the whole grid before the first that is held.
+    before: usize,
 }
 
 impl<'a> Volume<'a> {
-    fn new(values: &'a [f32], size: [usize; 3]) -> Self {
-        let len = size.iter().product();
-        assert!(values.len() >= len, "{} values for a grid of {len}", values.len());
-        let values = match size[0] {
+    fn new(values: &'a [f32], slab: &Slab) -> Self {
+        let len = slab.len();
+        assert!(values.len() >= len, "{} values for {len}", values.len());
+        let values = match slab.size[0] {
             1 => Cow::Owned(values[..len].iter().flat_map(|&v| [v, v]).collect()),
             _ => Cow::Borrowed(&values[..len]),
         };
-        Volume { values }
+        Volume { values, before: slab.planes.start * slab.size[0].max(2) * slab.size[1] }
     }
 
-    pub fn as_ptr(&self) -> *const f32 {
-        self.values.as_ptr()
+    /// Where value (0, 0, 0) of the whole grid would be.
+    pub fn origin(&self) -> *const f32 {
+        self.values.as_ptr().wrapping_sub(self.before)
     }
 }
 
 /// Where the values of a volume of some size are found: shared by all volumes of that size.
 pub(super) struct Lattice {
-    /// Index of the last value along each axis: positions are clamped to 0..=last.
+    /// Indices of the first and the last value that are held along each axis: positions are clamped to them.
+    pub first: [f32; 3],
     pub last: [f32; 3],
-    /// Index of the last cell (pair of neighbours) along each axis.
+    /// Index of the last cell (pair of neighbours) that is held along each axis.
     pub last_cell: [f32; 3],
     /// Values from one row, and from one slice, to the next.
     pub stride: [usize; 2],
@@ -46,14 +52,17 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    fn new(size: [usize; 3], data: [usize; 3]) -> Self {
+    fn new(slab: &Slab, data: [usize; 3]) -> Self {
+        let (size, planes) = (slab.size, &slab.planes);
+        assert!(planes.len() >= size[2].min(2), "planes on both sides of a sample");
         let row = size[0].max(2);
         let stride = [row, row * size[1]];
         let [y, z] = [1, 2].map(|a| if size[a] > 1 { stride[a - 1] } else { 0 });
         let scale: [f64; 3] = std::array::from_fn(|a| size[a] as f64 / data[a] as f64);
         Lattice {
-            last: size.map(|n| (n - 1) as f32),
-            last_cell: size.map(|n| n.saturating_sub(2) as f32),
+            first: [0.0, 0.0, planes.start as f32],
+            last: [size[0], size[1], planes.end].map(|n| (n - 1) as f32),
+            last_cell: [size[0], size[1], planes.end].map(|n| n.saturating_sub(2) as f32),
             stride,
             corners: [y, z, y + z],
             scale: scale.map(|s| s as f32),
@@ -64,8 +73,9 @@ impl Lattice {
 
 /// Terms on grids of one size: they share cells and weights.
 pub(super) struct Group<'a> {
+    held: Slab,
     pub lattice: Lattice,
-    /// The same size as the data: the data's cell is used.
+    /// The same planes of the same size as the data: the data's cell is used.
     pub with_data: bool,
     pub terms: Vec<(Volume<'a>, Weight)>,
 }
@@ -136,6 +146,11 @@ impl Optics {
     }
 }
 
+/// The planes that are held of a grid.
+fn slab(size: [usize; 3], planes: Option<&Range<usize>>) -> Slab {
+    Slab { size, planes: planes.cloned().unwrap_or(0..size[2]) }
+}
+
 /// A march, ready for rays.
 pub(super) struct Plan<'a> {
     /// Pixels along x and y.
@@ -157,6 +172,10 @@ pub(super) struct Plan<'a> {
     pub groups: Vec<Group<'a>>,
     pub terms: usize,
     pub empty: Option<Distances>,
+    /// Index of the last cell of the whole grid along each axis.
+    pub last_cell: [f32; 3],
+    /// Cells along z in which samples are taken lie between these two; `None`: everywhere.
+    pub window: Option<[f32; 2]>,
     pub phong: Option<Phong>,
     /// Mean spacing.
     pub spacing: f32,
@@ -166,7 +185,7 @@ pub(super) struct Plan<'a> {
 
 impl<'a> Plan<'a> {
     /// `None` when there is nothing to see: no values, no pixels.
-    pub fn new(march: &'a March, picture: [usize; 2]) -> Option<Self> {
+    pub fn new(march: &'a March, part: Option<&Part>, picture: [usize; 2]) -> Option<Self> {
         let grid = march.grid;
         if grid.is_empty() || picture.contains(&0) {
             return None;
@@ -176,16 +195,23 @@ impl<'a> Plan<'a> {
         let camera = march.camera;
         let tan = camera.tan * Vec3::new(picture[0] as f32 / picture[1] as f32, 1.0, 0.0);
 
+        let data = slab(grid.size, part.map(|p| &p.field));
         let mut groups: Vec<Group> = Vec::new();
-        let mut reach = grid.len();
-        for term in march.terms {
-            let size = term.grid.size;
-            reach = reach.max(term.grid.len());
-            let entry = (Volume::new(host(term.values), size), term.weight);
-            let lattice = Lattice::new(size, grid.size);
-            match groups.iter_mut().find(|g| g.lattice.last == lattice.last) {
+        // Twice for rows of a single value.
+        let twice = |size: [usize; 3]| size[0].max(2) * size[1] * size[2];
+        let mut reach = twice(grid.size);
+        for (n, term) in march.terms.iter().enumerate() {
+            let held = slab(term.grid.size, part.map(|p| &p.terms[n]));
+            reach = reach.max(twice(held.size));
+            let entry = (Volume::new(host(term.values), &held), term.weight);
+            match groups.iter_mut().find(|g| g.held == held) {
                 Some(group) => group.terms.push(entry),
-                None => groups.push(Group { lattice, with_data: size == grid.size, terms: vec![entry] }),
+                None => groups.push(Group {
+                    lattice: Lattice::new(&held, grid.size),
+                    with_data: held == data,
+                    terms: vec![entry],
+                    held,
+                }),
             }
         }
 
@@ -198,15 +224,17 @@ impl<'a> Plan<'a> {
             per_length: spacing.recip().as_vec3(),
             top: grid.size.map(|n| n as f32 - 0.5),
             step: march.step.max((1e-6 * (hi - lo).length()) as f32),
-            lattice: Lattice::new(grid.size, grid.size),
-            data: Volume::new(host(march.field), grid.size),
+            lattice: Lattice::new(&data, grid.size),
+            data: Volume::new(host(march.field), &data),
             optics: Optics::new(march.table),
             groups,
             terms: march.terms.len(),
             empty: Distances::new(&march.bricks, march.majorant),
+            last_cell: grid.size.map(|n| n.saturating_sub(2) as f32),
+            window: part.map(|p| [p.cells.start, p.cells.end].map(|c| c as f32 - 0.5)),
             phong: march.phong,
             spacing: grid.mean_spacing() as f32,
-            reach: 2 * reach,
+            reach,
         })
     }
 }

@@ -177,8 +177,8 @@ proptest! {
         for level in levels() {
             for edge in [None, Some(edge)] {
                 let picture = case.render(edge, |march, frame| {
-                    let plan = Plan::new(march, frame.size).expect("something to see");
-                    tiles(&plan, frame, at_level(level));
+                    let plan = Plan::new(march, None, frame.size).expect("something to see");
+                    frame.pixels = cast(&plan, at_level(level));
                 });
                 prop_assert_eq!(&truth, &picture, "{:?}, bricks of {:?}", level, edge);
             }
