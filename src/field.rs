@@ -3,13 +3,43 @@
 use std::sync::Arc;
 
 use crate::error::Result;
-use crate::grid::{Grid, Region};
+use crate::grid::{Grid, Region, Slab};
 
 /// Values below this are holes: no data, hence transparent. Non-finite and fill values become [`EMPTY`] when a step is
 /// taken in, so that no NaN reaches a kernel; any interpolation that touches a hole stays below this bound.
 pub const HOLE: f32 = -1e30;
 /// The value that marks a hole.
 pub const EMPTY: f32 = -1e38;
+
+/// Replaces what is not finite, and fill values below [`HOLE`], by [`EMPTY`]; returns how many there were.
+pub fn mark_holes(values: &mut [f32]) -> u64 {
+    let mut holes = 0;
+    for v in values {
+        // Also false for NaN.
+        if !(*v >= HOLE && *v <= f32::MAX) {
+            *v = EMPTY;
+            holes += 1;
+        }
+    }
+    holes
+}
+
+/// Bytes read from a source at a time where not all is kept, so that what its library holds meanwhile stays small.
+const PIECE: usize = 8 << 20;
+
+/// Reads the planes of `slab`, a few at a time, with holes marked; returns the number of holes.
+pub fn read_planes(field: &dyn Field, slab: &Slab, out: &mut [f32]) -> Result<u64> {
+    let deep = (PIECE / (4 * slab.plane()).max(1)).max(1);
+    let mut holes = 0;
+    for (n, out) in out[..slab.len()].chunks_mut((deep * slab.plane()).max(1)).enumerate() {
+        let Region { mut start, mut size } = slab.region();
+        start[2] += n * deep;
+        size[2] = out.len() / slab.plane();
+        field.read(Region { start, size }, out)?;
+        holes += mark_holes(out);
+    }
+    Ok(holes)
+}
 
 /// A scalar field on a uniform grid, readable by region, so that nothing forces a whole volume into memory.
 pub trait Field: Send + Sync {

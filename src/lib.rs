@@ -14,6 +14,7 @@
 //! | [`source`], [`sink`] | file formats in, file formats out |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
 //! | [`insitu`] | a running simulation that hands over its steps |
+//! | [`memory`] | what a run takes, and volumes larger than that |
 //! | [`savings`] | what the warm start saves, measured |
 //!
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
@@ -30,6 +31,7 @@ pub mod ledger;
 pub mod light;
 pub mod lights;
 pub mod medium;
+pub mod memory;
 pub mod pipeline;
 pub mod render;
 pub mod savings;

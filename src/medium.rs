@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use crate::device::{Buffer, Device};
 use crate::error::{Error, Result};
-use crate::field::{EMPTY, HOLE, Timestep};
+use crate::field::Timestep;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
 
@@ -13,7 +13,7 @@ use crate::transfer::Table;
 pub struct Medium {
     /// Where the values sit.
     pub grid: Grid,
-    /// The values; holes are [`EMPTY`].
+    /// The values; holes are [`EMPTY`](crate::field::EMPTY).
     pub field: Buffer,
     /// Values to optics.
     pub table: Table,
@@ -95,17 +95,14 @@ impl Medium {
                 step.step, step.grid.size, step.grid.spacing, self.grid.size, self.grid.spacing
             )));
         }
-        self.host.resize(self.grid.len(), 0.0);
-        step.field.read(self.grid.region(), &mut self.host)?;
-        let holes = mark_holes(&mut self.host);
         self.changed.take();
         if let Some(before) = &mut self.before {
             std::mem::swap(before, &mut self.field);
             self.follows = self.taken;
         }
         self.taken = true;
-        self.host = device.exchange(std::mem::take(&mut self.host), &mut self.field)?;
-        self.ranges = device.brick_range(&self.bricks, &self.field)?;
+        let (holes, ranges) = device.take(&self.grid, &step.field, &self.bricks, &mut self.host, &mut self.field)?;
+        self.ranges = ranges;
         let (lo, hi) =
             self.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
         Ok((holes, (lo <= hi).then_some([lo, hi])))
@@ -117,17 +114,4 @@ impl Medium {
         self.table = table;
         self.majorant = self.table.majorants(&self.ranges);
     }
-}
-
-/// Replaces what is not finite, and fill values below [`HOLE`], by [`EMPTY`]; returns how many there were.
-pub fn mark_holes(values: &mut [f32]) -> u64 {
-    let mut holes = 0;
-    for v in values {
-        // Also false for NaN.
-        if !(*v >= HOLE && *v <= f32::MAX) {
-            *v = EMPTY;
-            holes += 1;
-        }
-    }
-    holes
 }

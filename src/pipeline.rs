@@ -13,9 +13,9 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::device::Device;
 use crate::error::{Error, Result};
-use crate::field::{Dense, Timestep};
+use crate::field::{self, Dense, Timestep};
+use crate::grid::Slab;
 use crate::ledger::{Ledger, LedgerRow};
-use crate::medium;
 use crate::scene::{RangeKey, RangeOver, Scene};
 use crate::session::{Session, cameras};
 use crate::sink::{self, Output, Sink, SinkOptions};
@@ -24,6 +24,9 @@ use crate::transfer::TransferFunction;
 
 /// Steps that may wait between two stages: one in hand and one ready is enough to overlap them.
 const DEPTH: usize = 2;
+
+/// Bytes of a step that are held at a time where only its range of values is wanted.
+const RANGE_BYTES: usize = 32 << 20;
 
 /// A series to light and where to write it.
 pub struct Job {
@@ -124,14 +127,21 @@ pub fn series_range(
         }
         // A step that cannot be read is reported when its turn comes.
         let Ok(step) = series.timestep(i) else { continue };
-        values.resize(step.grid.len(), 0.0);
-        if step.field.read(step.grid.region(), &mut values).is_err() {
-            continue;
-        }
-        medium::mark_holes(&mut values);
-        for &v in values.iter().filter(|v| **v >= crate::field::HOLE) {
-            lo = lo.min(v);
-            hi = hi.max(v);
+        let [nx, ny, nz] = step.grid.size;
+        let deep = (RANGE_BYTES / (4 * nx * ny).max(1)).clamp(1, nz);
+        values.resize(nx * ny * deep, 0.0);
+        let (mut least, mut most) = (lo, hi);
+        let read = (0..nz).step_by(deep).try_for_each(|z| {
+            let slab = Slab { size: step.grid.size, planes: z..(z + deep).min(nz) };
+            field::read_planes(&*step.field, &slab, &mut values)?;
+            for &v in values[..slab.len()].iter().filter(|v| **v >= field::HOLE) {
+                least = least.min(v);
+                most = most.max(v);
+            }
+            Ok::<_, Error>(())
+        });
+        if read.is_ok() {
+            (lo, hi) = (least, most);
         }
     }
     if lo > hi {
@@ -154,7 +164,8 @@ fn drive(
     let (read_tx, read_rx) = bounded(DEPTH);
     let (write_tx, write_rx) = bounded(DEPTH);
     std::thread::scope(|scope| {
-        let reader = scope.spawn(move || read_ahead(steps, read_tx, stop));
+        let pages = session.pages();
+        let reader = scope.spawn(move || read_ahead(steps, pages, read_tx, stop));
         let writer = scope.spawn(move || write_behind(write_rx, sinks, ledger, total, progress));
         let lit = light_up(&mut session, read_rx, write_tx, stop);
         let written = writer.join().unwrap_or_else(|_| Err(Error::Closed("the writing thread died".into())));
@@ -174,15 +185,16 @@ fn drive(
 /// What the reader hands on: values in memory and the time they took, or why there are none.
 type Read = std::result::Result<(Timestep, f64), (u64, Error)>;
 
-/// Reads whole steps ahead of their turn.
+/// Reads whole steps ahead of their turn; only opens them for a device that pages.
 fn read_ahead(
     steps: impl Iterator<Item = std::result::Result<Timestep, (u64, Error)>>,
+    pages: bool,
     to: Sender<Read>,
     stop: &AtomicBool,
 ) {
     for step in steps {
         let begun = Instant::now();
-        let read = step.and_then(|t| resident(t.clone()).map_err(|e| (t.step, e)));
+        let read = step.and_then(|t| if pages { Ok(t) } else { resident(t.clone()).map_err(|e| (t.step, e)) });
         let read = read.map(|t| (t, begun.elapsed().as_secs_f64() * 1e3));
         if stop.load(Ordering::Relaxed) || to.send(read).is_err() {
             return;

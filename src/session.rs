@@ -96,6 +96,11 @@ impl Session {
         self.device = device;
     }
 
+    /// True when steps are read a slab at a time, as they are lit.
+    pub fn pages(&self) -> bool {
+        self.device.pages()
+    }
+
     /// Lights and renders one step.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
         let device = &*self.device;

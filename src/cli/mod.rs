@@ -12,7 +12,6 @@ mod compare;
 mod demo;
 mod devices;
 mod info;
-mod memory;
 mod parse;
 mod progress;
 mod render;

@@ -8,13 +8,13 @@ use clap::{Args, ValueEnum};
 use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::{ComponentKey, Scene};
 use gloaming::source::{self, SourceSpec};
-use gloaming::{Error, Grid};
+use gloaming::{Grid, memory};
 use indicatif::{HumanDuration, MultiProgress};
 
+use super::Done;
 use super::parse::{self, Steps};
 use super::progress::Report;
 use super::series::SeriesArgs;
-use super::{Done, memory};
 
 /// Light a series and write movies, frames or the illuminated volume
 #[derive(Args)]
@@ -50,7 +50,8 @@ pub struct RenderArgs {
     /// Where to compute: auto (a hardware GPU if there is one, else the CPU), cpu, gpu, or part of an adapter's name
     #[arg(long, default_value = "auto", value_name = "auto|cpu|gpu|NAME")]
     device: String,
-    /// Bound on the working set, such as 512MiB or 2G
+    /// Bound on the working set, such as 512MiB or 2G; larger volumes are lit and rendered a slab at a time, light that does not
+    /// fit going to a file in TMPDIR. Else what the machine has available
     #[arg(long, value_name = "SIZE", value_parser = parse::bytes)]
     memory: Option<u64>,
     /// How light travels
@@ -126,13 +127,11 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         let (first, last) = (numbers().min().unwrap_or(0), numbers().max().unwrap_or(0));
         anyhow::bail!("--steps selects none of the {} steps, which are numbered {first} to {last}", info.steps.len());
     }
-    if let Some(budget) = budget {
-        let needed = memory::working_set(&scene, &Grid::from(&info.grid))?;
-        if needed > budget {
-            return Err(Error::OutOfMemory { needed, budget }.into());
-        }
-    }
     let device = gloaming::device::open(&device, 0)?;
+    let device = match budget.or_else(memory::available) {
+        Some(budget) => memory::fit(device, &scene, &Grid::from(&info.grid), budget, &scratch_folder(&out[0]))?,
+        None => device,
+    };
     tracing::info!("{}, {} steps of `{}` on {}", info.layout, indices.len(), info.field, device.name());
 
     let total = indices.len();
@@ -146,6 +145,16 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         eprintln!("{} steps in {}: {}", summary.done, HumanDuration(took), out.join(", "));
     }
     Ok(losses(&summary, total))
+}
+
+/// Where light goes that does not fit in memory: TMPDIR where it is set, else beside the output. The usual folder for temporary
+/// files is often in memory itself.
+fn scratch_folder(out: &str) -> PathBuf {
+    if std::env::var_os("TMPDIR").is_some() {
+        return std::env::temp_dir();
+    }
+    let beside = std::path::absolute(out).ok().and_then(|p| p.parent().map(PathBuf::from));
+    beside.filter(|folder| folder.is_dir()).unwrap_or_else(std::env::temp_dir)
 }
 
 /// Says what was lost.

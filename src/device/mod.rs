@@ -5,11 +5,13 @@
 //! input. What decides (which brick next, what may be skipped, when to stop) lives above, once.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::Vec3;
 
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::field::{self, Field};
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
@@ -20,6 +22,7 @@ pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod open;
+pub mod paged;
 
 pub use open::open;
 
@@ -28,6 +31,7 @@ pub struct Buffer(pub(crate) Storage);
 
 pub(crate) enum Storage {
     Host(Vec<f32>),
+    Paged(Box<paged::Store>),
     #[cfg(feature = "gpu")]
     Gpu {
         buffer: wgpu::Buffer,
@@ -40,6 +44,7 @@ impl Buffer {
     pub fn len(&self) -> usize {
         match &self.0 {
             Storage::Host(v) => v.len(),
+            Storage::Paged(store) => store.len,
             #[cfg(feature = "gpu")]
             Storage::Gpu { len, .. } => *len,
         }
@@ -54,7 +59,6 @@ impl Buffer {
     pub fn host(&self) -> Option<&[f32]> {
         match &self.0 {
             Storage::Host(v) => Some(v),
-            #[cfg(feature = "gpu")]
             _ => None,
         }
     }
@@ -337,6 +341,28 @@ pub trait Device: Send + Sync {
 
     /// Copies the start of a buffer into host memory.
     fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()>;
+
+    /// Takes in the data of a step on `grid`, holes marked, into a buffer. Returns the number of holes and what
+    /// [`Device::brick_range`] says. `host` is memory that is used again.
+    fn take(
+        &self,
+        grid: &Grid,
+        field: &Arc<dyn Field>,
+        bricks: &BrickLayout,
+        host: &mut Vec<f32>,
+        into: &mut Buffer,
+    ) -> Result<(u64, Vec<[f32; 2]>)> {
+        host.resize(grid.len(), 0.0);
+        field.read(grid.region(), host)?;
+        let holes = field::mark_holes(host);
+        *host = self.exchange(std::mem::take(host), into)?;
+        Ok((holes, self.brick_range(bricks, into)?))
+    }
+
+    /// True when volumes are worked on a slab at a time, so that nobody need hold a step's data in memory.
+    fn pages(&self) -> bool {
+        false
+    }
 
     /// Copies `len` values of a buffer, from `start` on, into another one, at `at`.
     fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()>;

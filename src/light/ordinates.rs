@@ -160,6 +160,16 @@ impl Scattered {
         })
     }
 
+    /// Volumes that are held at most for `channels` colour channels, those of the problem included but for the lights'.
+    pub fn volumes(channels: usize, glows: bool, anisotropy: f32) -> usize {
+        // The latest two solutions of each channel and its bound; those at work, their source, and what is mixed.
+        let states = 3 * channels + 3 + 1 + 2 * anderson::DEPTH;
+        let parts = if anisotropy != 0.0 { 4 } else { 1 };
+        // Extinction, scattering and emission as they are and continued past their edges; ones.
+        let optics = 1 + channels * (1 + usize::from(glows)) + 3 + 1;
+        states * parts + optics
+    }
+
     /// True when the kept solution is on this grid with as many channels and the same g.
     pub fn fits(&self, grid: &Grid, channels: usize, anisotropy: f32) -> bool {
         self.grid == *grid && self.channels.len() == channels && self.anisotropy == anisotropy

@@ -9,7 +9,7 @@ use crate::frame::Frame;
 use crate::grid::{BrickLayout, Slab};
 use crate::transfer::Table;
 
-mod bricks;
+pub(crate) mod bricks;
 mod classify;
 mod combine;
 mod compose;
@@ -58,7 +58,6 @@ fn host(buffer: &Buffer) -> &[f32] {
 fn host_mut(buffer: &mut Buffer) -> &mut [f32] {
     match &mut buffer.0 {
         Storage::Host(v) => v,
-        #[cfg(feature = "gpu")]
         _ => panic!("a buffer of the CPU device"),
     }
 }
@@ -67,7 +66,6 @@ impl Buffer {
     fn into_host(self) -> Vec<f32> {
         match self.0 {
             Storage::Host(v) => v,
-            #[cfg(feature = "gpu")]
             _ => panic!("a buffer of the CPU device"),
         }
     }

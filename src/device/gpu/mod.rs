@@ -265,7 +265,7 @@ fn note(slot: &Mutex<Option<Failure>>, failure: Failure) {
 fn gpu(buffer: &Buffer) -> Result<&wgpu::Buffer> {
     match &buffer.0 {
         Storage::Gpu { buffer, .. } => Ok(buffer),
-        Storage::Host(_) => Err(Error::Device("a buffer of the CPU was given to a GPU".into())),
+        _ => Err(Error::Device("a buffer of another device was given to a GPU".into())),
     }
 }
 

@@ -6,7 +6,7 @@ use crate::device::Device;
 use crate::error::Result;
 
 /// Pairs kept; each takes two volumes (eight where scattering is anisotropic).
-const DEPTH: usize = 6;
+pub(super) const DEPTH: usize = 6;
 
 /// Latest values and residuals.
 #[derive(Default)]

@@ -1,0 +1,490 @@
+//! Volumes larger than memory: a device that has another one do the work, slab after slab.
+//!
+//! The unit is a slab of planes across z, as the file has them: whatever the direction of light or of a ray, it crosses
+//! them in one order, so that one plane of light between slabs and the state of each ray are all that is carried along.
+//! The algorithms above know nothing of it, and every kernel does with a slab what it does with the whole, so results are the
+//! same to the bit.
+//!
+//! Data stay where they are, and are read by slab as often as they are needed. Extinction is computed from them as they
+//! come by. Light that does not fit goes to a scratch file. Scattered light is solved in memory.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::device::convection::{Convected, Convection, Layers, Spread};
+use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport, cpu};
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::frame::Frame;
+use crate::grid::{BrickLayout, Grid, Slab};
+use crate::transfer::Table;
+
+mod march;
+mod scratch;
+mod store;
+mod stream;
+mod sweep;
+
+pub(crate) use store::Store;
+use store::{Content, Data, Held, Recipe};
+use stream::Feed;
+
+/// A device that holds no more than a budget of what it works on.
+pub struct Paged {
+    inner: Arc<dyn Device>,
+    budget: u64,
+    folder: PathBuf,
+    /// Bytes of volumes that stay in the inner device's memory.
+    resident: Arc<AtomicU64>,
+    /// Bytes of data read.
+    read: AtomicU64,
+}
+
+/// Slabs that a pass takes at least where there are planes enough, so that reading and working overlap.
+const SLABS: usize = 6;
+
+impl Paged {
+    /// Volumes up to one part in so many of the budget stay in memory.
+    pub(crate) const SMALL: u64 = 8;
+
+    /// Has `inner` work within `budget` bytes; light that does not fit goes to a file without a name in `folder`.
+    pub fn new(inner: Arc<dyn Device>, budget: u64, folder: &Path) -> Self {
+        Paged { inner, budget, folder: folder.into(), resident: Arc::default(), read: AtomicU64::new(0) }
+    }
+
+    /// Bytes of data read so far.
+    pub fn bytes_read(&self) -> u64 {
+        self.read.load(Ordering::Relaxed)
+    }
+
+    /// How many planes of a volume of `total` a slab may have: `each` values for every plane, `more` for those that it
+    /// shares with its neighbours and whatever else is held meanwhile.
+    fn depth(&self, total: usize, each: f64, more: f64) -> Result<usize> {
+        let held = self.resident.load(Ordering::Relaxed);
+        let free = self.budget.saturating_sub(held) as f64 / 4.0;
+        let deepest = ((free - more) / each.max(1.0)).floor();
+        if deepest < 1.0 {
+            let needed = held + (4.0 * (each + more)).ceil() as u64;
+            return Err(Error::OutOfMemory { needed, budget: self.budget });
+        }
+        let slabs = total.div_ceil(deepest as usize).max(SLABS.min(total));
+        Ok(total.div_ceil(slabs))
+    }
+
+    /// Memory of the inner device, of which account is kept.
+    fn hold(&self, len: usize) -> Result<(Buffer, Held)> {
+        let (bytes, held) = (4 * len as u64, self.resident.load(Ordering::Relaxed));
+        if held + bytes > self.budget {
+            return Err(Error::OutOfMemory { needed: held + bytes, budget: self.budget });
+        }
+        Ok((self.inner.alloc(len)?, Held::new(bytes, &self.resident)))
+    }
+
+    /// Finds a place for what will be written to a volume.
+    fn prepare(&self, store: &mut Store) -> Result<()> {
+        store.near.take();
+        if matches!(store.content, Content::Resident(..) | Content::Scratch(_)) {
+            return Ok(());
+        }
+        store.content = if self.small(store.len) {
+            let (buffer, held) = self.hold(store.len)?;
+            Content::Resident(buffer, held)
+        } else {
+            Content::Scratch(scratch::Scratch::new(&self.folder, store.len)?)
+        };
+        Ok(())
+    }
+
+    /// True for volumes that stay in memory without need.
+    fn small(&self, len: usize) -> bool {
+        let (bytes, held) = (4 * len as u64, self.resident.load(Ordering::Relaxed));
+        bytes <= self.budget / Self::SMALL && held + bytes <= self.budget / 4
+    }
+
+    /// Writes `len` values of an inner buffer, from `start` on, into a volume, at `at`.
+    fn put(&self, from: &Buffer, start: usize, len: usize, into: &mut Store, at: usize) -> Result<()> {
+        match &mut into.content {
+            Content::Resident(buffer, _) => self.inner.copy(from, start, len, buffer, at),
+            Content::Scratch(scratch) => match from.host() {
+                Some(values) => scratch.write(at, &values[start..start + len]),
+                None => {
+                    let mut values = vec![0.0; start + len];
+                    self.inner.download(from, &mut values)?;
+                    scratch.write(at, &values[start..])
+                }
+            },
+            _ => unreachable!("prepared before"),
+        }
+    }
+
+    /// A whole volume in the inner device's memory, for kernels that cannot do with slabs.
+    fn near<'a>(&self, buffer: &'a Buffer) -> Result<&'a Buffer> {
+        let store = store(buffer);
+        if let Content::Resident(inner, _) = &store.content {
+            return Ok(inner);
+        }
+        if let Some((inner, _)) = store.near.get() {
+            return Ok(inner);
+        }
+        let (mut inner, held) = self.hold(store.len)?;
+        self.bring_all(store, &mut inner)?;
+        Ok(&store.near.get_or_init(|| (inner, held)).0)
+    }
+
+    fn near_mut<'a>(&self, buffer: &'a mut Buffer) -> Result<&'a mut Buffer> {
+        let store = store_mut(buffer);
+        if !matches!(store.content, Content::Resident(..)) {
+            let (inner, held) = match store.near.take() {
+                Some(kept) => kept,
+                None => {
+                    let (mut inner, held) = self.hold(store.len)?;
+                    self.bring_all(store, &mut inner)?;
+                    (inner, held)
+                }
+            };
+            store.content = Content::Resident(inner, held);
+        }
+        match &mut store.content {
+            Content::Resident(inner, _) => Ok(inner),
+            _ => unreachable!("just made"),
+        }
+    }
+
+    /// Copies a volume into a buffer of the inner device, part by part.
+    fn bring_all(&self, store: &Store, into: &mut Buffer) -> Result<()> {
+        if matches!(store.content, Content::Zero) {
+            return Ok(());
+        }
+        // Planes are those that the volume is made of, or anything where it lies as it is.
+        let size = match &store.content {
+            Content::Data(data) => data.size,
+            Content::Optic(recipe) => recipe.size,
+            _ => [1, 1, store.len],
+        };
+        let plane = size[0] * size[1];
+        let parts = slabs(size[2], self.depth(size[2], Feed::weight(store, size, size[2]), 4.0 * plane as f64)?);
+        self.stream(&[Feed { store, size, planes: parts.clone() }], |n, volumes| {
+            self.inner.copy(volumes[0], 0, plane * parts[n].len(), into, plane * parts[n].start)
+        })
+    }
+
+    /// Computes a volume of `size` from one pass over another one, slab after slab: `under` says which of its planes are needed
+    /// for planes of the result, `make` computes them.
+    fn map(
+        &self,
+        (from, from_size): (&Store, [usize; 3]),
+        (into, size): (&mut Store, [usize; 3]),
+        under: impl Fn(Range<usize>) -> Range<usize>,
+        make: impl Fn(&Buffer, &Slab, &mut Buffer) -> Result<()>,
+    ) -> Result<()> {
+        self.prepare(into)?;
+        let plane = size[0] * size[1];
+        let shared = 2.0 * (from_size[0] * from_size[1]) as f64 * 2.0;
+        let depth = self.depth(size[2], Feed::weight(from, from_size, size[2]) + plane as f64, shared)?;
+        let slabs = slabs(size[2], depth);
+        let planes = slabs.iter().cloned().map(under).collect();
+        let mut out = self.inner.alloc(plane * depth)?;
+        self.stream(&[Feed { store: from, size: from_size, planes }], |n, volumes| {
+            let slab = Slab { size, planes: slabs[n].clone() };
+            make(volumes[0], &slab, &mut out)?;
+            self.put(&out, 0, slab.len(), into, slab.planes.start * plane)
+        })
+    }
+}
+
+/// Consecutive runs of at most `depth` planes.
+fn slabs(total: usize, depth: usize) -> Vec<Range<usize>> {
+    (0..total).step_by(depth).map(|p| p..(p + depth).min(total)).collect()
+}
+
+/// What is known of a buffer. One of another device is a bug of ours.
+fn store(buffer: &Buffer) -> &Store {
+    match &buffer.0 {
+        Storage::Paged(store) => store,
+        _ => panic!("a buffer of the paged device"),
+    }
+}
+
+fn store_mut(buffer: &mut Buffer) -> &mut Store {
+    match &mut buffer.0 {
+        Storage::Paged(store) => store,
+        _ => panic!("a buffer of the paged device"),
+    }
+}
+
+impl Device for Paged {
+    fn name(&self) -> String {
+        format!("{}, {} MiB at a time", self.inner.name(), self.budget >> 20)
+    }
+
+    fn pages(&self) -> bool {
+        true
+    }
+
+    fn alloc(&self, len: usize) -> Result<Buffer> {
+        Ok(Buffer(Storage::Paged(Box::new(Store::new(len, Content::Zero)))))
+    }
+
+    fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()> {
+        let store = store_mut(into);
+        self.prepare(store)?;
+        match &mut store.content {
+            Content::Resident(buffer, _) => self.inner.upload(values, buffer),
+            Content::Scratch(scratch) => scratch.write(0, values),
+            _ => unreachable!("just prepared"),
+        }
+    }
+
+    fn download(&self, from: &Buffer, out: &mut [f32]) -> Result<()> {
+        match &store(from).content {
+            Content::Zero => out.fill(0.0),
+            Content::Resident(buffer, _) => self.inner.download(buffer, out)?,
+            Content::Scratch(scratch) => scratch.read(0, out)?,
+            Content::Data(data) => drop(data.read(&Slab::whole(data.size), out, &self.read)?),
+            Content::Optic(_) => self.inner.download(self.near(from)?, out)?,
+        }
+        Ok(())
+    }
+
+    fn take(
+        &self,
+        grid: &Grid,
+        field: &Arc<dyn Field>,
+        bricks: &BrickLayout,
+        _: &mut Vec<f32>,
+        into: &mut Buffer,
+    ) -> Result<(u64, Vec<[f32; 2]>)> {
+        let data = Data { field: field.clone(), size: grid.size };
+        let taken = self.look_through(&data, bricks)?;
+        *store_mut(into) = Store::new(grid.len(), Content::Data(data));
+        Ok(taken)
+    }
+
+    fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()> {
+        self.inner.copy(self.near(from)?, start, len, self.near_mut(into)?, at)
+    }
+
+    fn classify_slab(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: &Slab,
+        field: &Buffer,
+        light: &Slab,
+        out: &mut Buffer,
+    ) -> Result<()> {
+        assert!(*data == Slab::whole(data.size) && *light == Slab::whole(light.size), "slabs are cut here");
+        let Content::Data(of) = &store(field).content else {
+            return Err(Error::Unsupported("extinction of what is not a step's data".into()));
+        };
+        let recipe = Recipe { optic, table: table.clone(), data: of.clone(), size: light.size };
+        let recipe = Store::new(light.len(), Content::Optic(Box::new(recipe)));
+        let out = store_mut(out);
+        if !self.small(out.len) {
+            *out = recipe;
+            return Ok(());
+        }
+        self.map(
+            (&recipe, light.size),
+            (out, light.size),
+            |p| p,
+            |v, slab, out| self.inner.copy(v, 0, slab.len(), out, 0),
+        )
+    }
+
+    fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
+        match &store(field).content {
+            Content::Data(data) => Ok(self.look_through(data, layout)?.1),
+            _ => self.inner.brick_range(layout, self.near(field)?),
+        }
+    }
+
+    fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>> {
+        match (&store(now).content, &store(before).content) {
+            (Content::Resident(now, _), Content::Resident(before, _)) => self.inner.change(layout, now, before),
+            // Nothing is kept of what was read before: anything may have changed.
+            _ => Ok(vec![[f32::INFINITY; 3]; layout.len()]),
+        }
+    }
+
+    fn restrict_slab(&self, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()> {
+        assert!(*fine == Slab::whole(fine.size) && *coarse == Slab::whole(coarse.size), "slabs are cut here");
+        let under = |planes: Range<usize>| Slab { size: coarse.size, planes }.under(fine.size[2]);
+        self.map((store(values), fine.size), (store_mut(out), coarse.size), under, |v, slab, out| {
+            let held = Slab { size: fine.size, planes: under(slab.planes.clone()) };
+            self.inner.restrict_slab(&held, v, slab, out)
+        })
+    }
+
+    fn sweep(
+        &self,
+        sweep: &Sweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        self.sweep_slabs(sweep, layout, sigma, rho, fronts)
+    }
+
+    fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
+        let first: Vec<_> =
+            term.first.iter().map(|(rho, e, u)| Ok((self.near(rho)?, *e, *u))).collect::<Result<_>>()?;
+        let current = match term.current {
+            Some(([x, y, z], linear)) => Some(([self.near(x)?, self.near(y)?, self.near(z)?], linear)),
+            None => None,
+        };
+        let term = SourceTerm {
+            sigma: self.near(term.sigma)?,
+            scattering: self.near(term.scattering)?,
+            emission: term.emission.map(|e| self.near(e)).transpose()?,
+            first: &first,
+            phi: self.near(term.phi)?,
+            current,
+        };
+        self.inner.source(&term, self.near_mut(source)?, self.three(gradient)?)
+    }
+
+    fn transport(&self, t: &Transport, phi: &mut Buffer, current: Option<[&mut Buffer; 3]>) -> Result<(f32, f32)> {
+        let gradient = match t.gradient {
+            Some([x, y, z]) => Some([self.near(x)?, self.near(y)?, self.near(z)?]),
+            None => None,
+        };
+        let t = Transport { sigma: self.near(t.sigma)?, source: self.near(t.source)?, gradient, ..*t };
+        self.inner.transport(&t, self.near_mut(phi)?, self.three(current)?)
+    }
+
+    fn convect_layers(
+        &self,
+        convection: &Convection,
+        layers: Layers,
+        sigma: &Buffer,
+        before: &Buffer,
+        rho: &mut Buffer,
+    ) -> Result<Convected> {
+        self.inner.convect_layers(convection, layers, self.near(sigma)?, self.near(before)?, self.near_mut(rho)?)
+    }
+
+    fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32> {
+        self.inner.convect_whole(convection, self.near(sigma)?, self.near(before)?, self.near_mut(rho)?)
+    }
+
+    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
+        self.inner.convect_ordered(convection, self.near(sigma)?, self.near_mut(rho)?)
+    }
+
+    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.inner.spread(size, spread, self.near(rho)?, self.near_mut(out)?)
+    }
+
+    fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
+        self.inner.diffuse(size, weights, self.near_mut(values)?)
+    }
+
+    fn relax(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &mut Buffer,
+        colour: usize,
+    ) -> Result<()> {
+        self.inner.relax(size, coupling, self.near(rhs)?, self.near_mut(values)?, colour)
+    }
+
+    fn residual(
+        &self,
+        size: [usize; 3],
+        coupling: [f32; 3],
+        rhs: &Buffer,
+        values: &Buffer,
+        out: &mut Buffer,
+    ) -> Result<f32> {
+        self.inner.residual(size, coupling, self.near(rhs)?, self.near(values)?, self.near_mut(out)?)
+    }
+
+    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
+        self.inner.prolong(coarse, self.near(values)?, size, self.near_mut(into)?)
+    }
+
+    fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
+        let terms: Vec<_> = terms.iter().map(|(v, w)| Ok((self.near(v)?, *w))).collect::<Result<_>>()?;
+        self.inner.combine(&terms, self.near_mut(out)?)
+    }
+
+    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
+        self.inner.dot(self.near(a)?, self.near(b)?)
+    }
+
+    fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        self.inner.distance(self.near(a)?, self.near(b)?)
+    }
+
+    fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
+        self.inner.largest_ratio(self.near(a)?, self.near(b)?)
+    }
+
+    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.inner.extend(size, self.near(sigma)?, self.near(values)?, self.near_mut(out)?)
+    }
+
+    fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
+        // Value by value: planes may as well be single values.
+        let size = [1, 1, out.len()];
+        let each = terms.iter().map(|(v, _)| Feed::weight(store(v), size, out.len())).sum();
+        let parts = slabs(out.len(), self.depth(out.len(), each, 0.0)?);
+        let feeds: Vec<Feed> =
+            terms.iter().map(|(v, _)| Feed { store: store(v), size, planes: parts.clone() }).collect();
+        if feeds.is_empty() {
+            return self.inner.compose(&[], out);
+        }
+        self.stream(&feeds, |n, volumes| {
+            let terms: Vec<_> = volumes.iter().zip(terms).map(|(v, (_, weight))| (*v, *weight)).collect();
+            self.inner.compose(&terms, &mut out[parts[n].clone()])
+        })
+    }
+
+    fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
+        self.march_slabs(march, frame)
+    }
+
+    fn march_slab(&self, _: &March, _: &Part, _: [usize; 2], _: &mut [Ray]) -> Result<()> {
+        Err(Error::Unsupported("a slab of volumes that are cut into slabs already".into()))
+    }
+}
+
+impl Paged {
+    fn three<'a>(&self, buffers: Option<[&'a mut Buffer; 3]>) -> Result<Option<[&'a mut Buffer; 3]>> {
+        match buffers {
+            Some([x, y, z]) => Ok(Some([self.near_mut(x)?, self.near_mut(y)?, self.near_mut(z)?])),
+            None => Ok(None),
+        }
+    }
+
+    /// Reads all data once: the number of holes and the range of each brick.
+    fn look_through(&self, data: &Data, layout: &BrickLayout) -> Result<(u64, Vec<[f32; 2]>)> {
+        let [nx, ny, nz] = data.size;
+        let plane = nx * ny;
+        let depth = self.depth(nz, plane as f64, 0.0)?;
+        let mut values = vec![0.0; plane * depth];
+        let (mut holes, mut ranges) = (0, vec![[f32::INFINITY, f32::NEG_INFINITY]; layout.len()]);
+        let flat = BrickLayout::new([nx, ny, 1], layout.edge);
+        let across = flat.len();
+        for planes in slabs(nz, depth) {
+            let slab = Slab { size: data.size, planes };
+            holes += data.read(&slab, &mut values, &self.read)?;
+            for (z, values) in slab.planes.zip(values.chunks_exact(plane)) {
+                // A brick sees one plane more on both sides.
+                let (from, to) = (z.saturating_sub(1) / layout.edge, (z + 1).min(nz - 1) / layout.edge);
+                let here = cpu::bricks::brick_range(&flat, values);
+                for layer in from..=to {
+                    let of = &mut ranges[layer * across..][..across];
+                    of.iter_mut().zip(&here).for_each(|(r, h)| *r = [r[0].min(h[0]), r[1].max(h[1])]);
+                }
+            }
+        }
+        Ok((holes, ranges))
+    }
+}

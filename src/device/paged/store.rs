@@ -1,0 +1,78 @@
+//! Where a volume is that may not fit: nowhere yet, in the inner device's memory, in a scratch file, in the file that it
+//! came from, or in a recipe that makes it of what is in such a file.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use super::scratch::Scratch;
+use crate::device::{Buffer, Optic};
+use crate::error::Result;
+use crate::field::{self, Field};
+use crate::grid::Slab;
+use crate::transfer::Table;
+
+/// A volume of `len` values.
+pub(crate) struct Store {
+    pub len: usize,
+    pub(super) content: Content,
+    /// A copy in the inner device's memory of what is not there, for kernels that need the whole.
+    pub(super) near: OnceLock<(Buffer, Held)>,
+}
+
+impl Store {
+    pub(super) fn new(len: usize, content: Content) -> Self {
+        Store { len, content, near: OnceLock::new() }
+    }
+}
+
+pub(super) enum Content {
+    /// Zeros; nothing is held.
+    Zero,
+    /// Held for as long as the buffer lives.
+    Resident(Buffer, #[allow(dead_code)] Held),
+    Scratch(Scratch),
+    Data(Data),
+    Optic(Box<Recipe>),
+}
+
+/// Data of a step where it lies.
+#[derive(Clone)]
+pub(super) struct Data {
+    pub field: Arc<dyn Field>,
+    pub size: [usize; 3],
+}
+
+/// A property of the medium, computed when it is read.
+pub(super) struct Recipe {
+    pub optic: Optic,
+    pub table: Table,
+    pub data: Data,
+    pub size: [usize; 3],
+}
+
+/// Bytes of the inner device that are in use; given back when dropped.
+pub(super) struct Held {
+    bytes: u64,
+    of: Arc<AtomicU64>,
+}
+
+impl Held {
+    pub fn new(bytes: u64, of: &Arc<AtomicU64>) -> Self {
+        of.fetch_add(bytes, Ordering::Relaxed);
+        Held { bytes, of: of.clone() }
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.of.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+impl Data {
+    /// Reads planes, holes marked; adds what was read to `bytes`, and returns the number of holes.
+    pub fn read(&self, slab: &Slab, out: &mut [f32], bytes: &AtomicU64) -> Result<u64> {
+        bytes.fetch_add(4 * slab.len() as u64, Ordering::Relaxed);
+        field::read_planes(&*self.field, slab, out)
+    }
+}

@@ -1,0 +1,216 @@
+//! Volumes larger than memory (validation.md 16): the same to the bit as in memory, whatever the budget.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+use gloaming::device::Device;
+use gloaming::device::cpu::Cpu;
+use gloaming::device::paged::Paged;
+use gloaming::field::{Dense, Field, Timestep};
+use gloaming::scene::Scene;
+use gloaming::session::Session;
+use gloaming::sink::Output;
+use gloaming::{Error, Grid, Region, Result, memory};
+
+/// Blobs in empty space, with a hole; `t` moves one of them.
+fn values(size: [usize; 3], t: f32) -> Vec<f32> {
+    let mut values = Vec::with_capacity(size.iter().product());
+    for k in 0..size[2] {
+        for j in 0..size[1] {
+            for i in 0..size[0] {
+                let p = [i, j, k].map(|n| n as f32);
+                let at = |a: usize, part: f32| part * size[a] as f32;
+                let blob = |c: [f32; 3], r: f32| {
+                    let d2: f32 = (0..3).map(|a| (p[a] - at(a, c[a])).powi(2)).sum();
+                    (1.0 - d2.sqrt() / (r * size[0].max(size[1]).max(size[2]) as f32)).max(0.0)
+                };
+                let ripple = 0.2 * (0.9 * p[0] + 1.3 * p[1] + 0.7 * p[2]).sin();
+                let v = blob([0.5, 0.45, 0.3], 0.35) + blob([0.6 - 0.1 * t, 0.6, 0.7], 0.3);
+                values.push(if v > 0.95 {
+                    f32::NAN
+                } else if v > 0.0 {
+                    (v + ripple).max(0.0)
+                } else {
+                    0.0
+                });
+            }
+        }
+    }
+    values
+}
+
+/// Counts what is read.
+struct Counted {
+    of: Dense,
+    bytes: AtomicU64,
+    largest: AtomicUsize,
+}
+
+impl Field for Counted {
+    fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
+        self.bytes.fetch_add(4 * region.len() as u64, Ordering::Relaxed);
+        self.largest.fetch_max(region.size[2], Ordering::Relaxed);
+        self.of.read(region, out)
+    }
+}
+
+fn counted(size: [usize; 3], t: f32) -> Arc<Counted> {
+    let of = Dense::new(size, values(size, t));
+    Arc::new(Counted { of, bytes: AtomicU64::new(0), largest: AtomicUsize::new(0) })
+}
+
+fn grid(size: [usize; 3]) -> Grid {
+    Grid { size, spacing: [0.5, 0.4, 0.6], origin: [1.0, -2.0, 3.0] }
+}
+
+fn scene(sets: &[&str]) -> Scene {
+    let sets: Vec<String> =
+        ["render.size=[48, 32]", "transfer.extinction=2.0"].iter().chain(sets).map(|s| s.to_string()).collect();
+    Scene::load(None, &sets).unwrap()
+}
+
+fn cpu() -> Arc<dyn Device> {
+    Arc::new(Cpu::new(2).unwrap())
+}
+
+fn paged(budget: u64) -> Arc<Paged> {
+    Arc::new(Paged::new(cpu(), budget, &std::env::temp_dir()))
+}
+
+/// Lights and renders `steps` steps.
+fn light(device: Arc<dyn Device>, scene: &Scene, size: [usize; 3], steps: usize) -> Result<Vec<Output>> {
+    let mut session = Session::new(device, scene.clone(), Some([0.0, 1.0]), true)?;
+    let step = |n: usize| Timestep { step: n as u64, time: None, grid: grid(size), field: counted(size, n as f32) };
+    (0..steps).map(|n| session.advance(step(n))).collect()
+}
+
+fn bits(output: &Output) -> Vec<u32> {
+    let frames = output.frames.iter().flat_map(|v| v.frame.pixels.as_flattened());
+    let light = output.light.iter().flat_map(|l| l.fluence.as_flattened());
+    frames.chain(light).map(|v| v.to_bits()).collect()
+}
+
+/// The least budget, more, and much more.
+fn assert_same_for_every_budget(sets: &[&str], size: [usize; 3]) {
+    let scene = scene(sets);
+    let whole = light(cpu(), &scene, size, 2).unwrap();
+    assert!(
+        whole[0].frames.iter().all(|v| v.frame.pixels.as_flattened().iter().any(|p| *p > 0.01)),
+        "something to see"
+    );
+    let least = memory::smallest(&scene, &grid(size)).unwrap();
+    for budget in [least, least + least / 3, 3 * least, 20 * least] {
+        let part = light(paged(budget), &scene, size, 2).unwrap_or_else(|e| panic!("{sets:?} in {budget}: {e}"));
+        for (step, (w, p)) in whole.iter().zip(&part).enumerate() {
+            assert!(bits(w) == bits(p), "{sets:?}, {size:?}, step {step}, {budget} bytes");
+            assert_eq!(w.row.holes, p.row.holes);
+        }
+    }
+}
+
+const ODD: [usize; 3] = [37, 64, 51];
+const LIGHT: &str = "lights.0.direction=[-0.3, 0.5, -0.8]";
+
+#[test]
+fn lights_from_every_side_are_the_same_to_the_bit() {
+    for direction in [
+        "[0.3, 0.5, -0.8]",
+        "[-0.2, 0.4, 0.9]",
+        "[0.9, 0.2, 0.3]",
+        "[-0.9, 0.1, -0.2]",
+        "[0.1, 0.9, -0.3]",
+        "[0.0, -1.0, 0.0]",
+        "[1.0, 0.0, 0.0]",
+        "[0.0, 0.0, 1.0]",
+    ] {
+        let light = format!("lights.0.direction={direction}");
+        assert_same_for_every_budget(&[&light, "light.scattering=false"], ODD);
+    }
+}
+
+#[test]
+fn several_lights_with_shading_and_emission_are_the_same_to_the_bit() {
+    let sets = [
+        LIGHT,
+        "lights.0.softness=8",
+        "lights.1.direction=[0.8, 0.1, 0.3]",
+        "lights.1.color=[0.2, 0.5, 1.0]",
+        "light.scattering=false",
+        "render.shading=phong",
+        "transfer.emission=[[0.0, 0.0], [1.0, 0.4]]",
+    ];
+    assert_same_for_every_budget(&sets, ODD);
+}
+
+#[test]
+fn coarser_light_and_flat_volumes_are_the_same_to_the_bit() {
+    for size in [[37, 64, 51], [5, 9, 1], [1, 16, 24], [16, 1, 2]] {
+        for resolution in ["0.5", "0.37", "70"] {
+            let resolution = format!("light.direct_resolution={resolution}");
+            assert_same_for_every_budget(&[LIGHT, &resolution, "light.scattering=false"], size);
+        }
+    }
+}
+
+#[test]
+fn scattered_light_is_the_same_to_the_bit() {
+    let sets = [LIGHT, "light.resolution=0.25", "light.directions=8", "transfer.anisotropy=0.4", "light.warm=false"];
+    assert_same_for_every_budget(&sets, ODD);
+}
+
+/// Light in the volume included; its own volumes stay in memory.
+#[test]
+fn the_papers_light_is_the_same_to_the_bit() {
+    let point = ["lights.1.kind=point", "lights.1.position=[10.0, 9.0, 17.0]"];
+    assert_same_for_every_budget(&[&["light.model=paper", LIGHT][..], &point].concat(), ODD);
+}
+
+#[test]
+fn cameras_inside_and_outside_are_the_same_to_the_bit() {
+    // The box reaches from 0.75 to 19.25, −2.2 to 23.4 and 2.7 to 33.3.
+    for eye in
+        ["[10.1, 9.0, 12.0]", "[10.0, 10.0, 60.0]", "[10.2, 8.0, -30.0]", "[-20.0, 4.0, 17.0]", "[8.0, 8.0, 33.2]"]
+    {
+        let eye = format!("cameras.0.position={eye}");
+        let sets = [LIGHT, &eye, "cameras.0.fov=70", "cameras.0.up=[0.1, 1.0, 0.0]", "light.scattering=false"];
+        assert_same_for_every_budget(&sets, ODD);
+    }
+}
+
+#[test]
+fn data_are_read_once_a_pass_and_a_slab_at_a_time() {
+    let (scene, size) = (scene(&[LIGHT, "light.scattering=false"]), [24, 32, 200]);
+    let field = counted(size, 0.0);
+    let budget = 2 * memory::smallest(&scene, &grid(size)).unwrap();
+    let mut session = Session::new(paged(budget), scene, Some([0.0, 1.0]), false).unwrap();
+    session.advance(Timestep { step: 0, time: None, grid: grid(size), field: field.clone() }).unwrap();
+    let passes = field.bytes.load(Ordering::Relaxed) as f64 / (4.0 * grid(size).len() as f64);
+    // Brick ranges, light, rays; the empty ends are not even looked at by rays.
+    assert!((2.0..3.1).contains(&passes), "{passes} passes");
+    assert!(field.largest.load(Ordering::Relaxed) < size[2] / 4);
+}
+
+#[test]
+fn too_little_memory_names_what_is_enough() {
+    for sets in [&[LIGHT, "light.scattering=false"][..], &[LIGHT, "light.resolution=0.25", "light.directions=8"]] {
+        let scene = scene(sets);
+        let grid = grid(ODD);
+        let Err(Error::OutOfMemory { needed, .. }) = memory::fit(cpu(), &scene, &grid, 1000, Path::new("/tmp")) else {
+            panic!("1000 bytes are not enough")
+        };
+        let device = memory::fit(cpu(), &scene, &grid, needed, &std::env::temp_dir()).unwrap();
+        assert!(device.pages(), "{}", device.name());
+        light(device, &scene, ODD, 1).unwrap();
+        // Well below it the device itself says so.
+        assert!(matches!(light(paged(needed / 4), &scene, ODD, 1), Err(Error::OutOfMemory { .. })));
+    }
+}
+
+#[test]
+fn no_scratch_folder_is_an_error_that_names_it() {
+    let nowhere = Arc::new(Paged::new(cpu(), 1 << 20, Path::new("/no/such/folder")));
+    let scene = scene(&[LIGHT, "light.scattering=false"]);
+    let why = light(nowhere, &scene, [64, 64, 64], 1).map(|_| ()).unwrap_err().to_string();
+    assert!(why.contains("/no/such/folder"), "{why}");
+}
