@@ -90,20 +90,7 @@ pub fn prefetch(at: *const f32) {
     let _ = at;
 }
 
-/// Makes streamed writes visible to other threads before what this thread does next.
-#[inline(always)]
-pub fn publish() {
-    #[cfg(target_arch = "x86_64")]
-    // SAFETY: SSE is part of every x86-64.
-    unsafe {
-        std::arch::x86_64::_mm_sfence();
-    }
-}
-
 /// `to[j·to_stride + i] = from[i·from_stride + j]` for i < rows, j < cols: rows of memory become columns.
-///
-/// With `stream`, and where addresses are aligned, memory is written past the caches, which saves reading it first: for lines
-/// that nobody reads soon. Call [`publish`] before another thread reads them.
 ///
 /// # Safety
 /// Every address above must lie in memory that may be read (`from`) or written (`to`), and the two must not overlap.
@@ -115,23 +102,26 @@ pub unsafe fn transpose(
     cols: usize,
     to: *mut f32,
     to_stride: isize,
-    stream: bool,
 ) {
-    let stream = stream && to.addr().is_multiple_of(16) && to_stride % 4 == 0;
+    #[cfg(target_arch = "x86_64")]
+    if rows == 16 && cols == 16 && level() == Level::Avx512 {
+        // SAFETY: the caller vouches for the addresses; `level` has seen the instruction set.
+        unsafe { transpose_16(from, from_stride, to, to_stride) };
+        return;
+    }
     let (block_rows, block_cols) = if cfg!(target_arch = "x86_64") { (rows / 4 * 4, cols / 4 * 4) } else { (0, 0) };
     // SAFETY: the caller vouches for the addresses; SSE is part of every x86-64.
     unsafe {
         #[cfg(target_arch = "x86_64")]
         for i in (0..block_rows).step_by(4) {
-            use std::arch::x86_64::{_MM_TRANSPOSE4_PS, _mm_loadu_ps, _mm_storeu_ps, _mm_stream_ps};
+            use std::arch::x86_64::{_MM_TRANSPOSE4_PS, _mm_loadu_ps, _mm_storeu_ps};
             for j in (0..block_cols).step_by(4) {
                 let at = from.offset(i as isize * from_stride).add(j);
                 let [mut a, mut b, mut c, mut d] = [0, 1, 2, 3].map(|k| _mm_loadu_ps(at.offset(k * from_stride)));
                 _MM_TRANSPOSE4_PS(&mut a, &mut b, &mut c, &mut d);
                 let at = to.offset(j as isize * to_stride).add(i);
                 for (k, column) in [a, b, c, d].into_iter().enumerate() {
-                    let at = at.offset(k as isize * to_stride);
-                    if stream { _mm_stream_ps(at, column) } else { _mm_storeu_ps(at, column) }
+                    _mm_storeu_ps(at.offset(k as isize * to_stride), column);
                 }
             }
         }
@@ -139,6 +129,39 @@ pub unsafe fn transpose(
             let first = if i < block_rows { block_cols } else { 0 };
             for j in first..cols {
                 *to.offset(j as isize * to_stride).add(i) = *from.offset(i as isize * from_stride).add(j);
+            }
+        }
+    }
+}
+
+/// [`transpose`] of 16 × 16 values: four rows a quarter of the block apart share a register, so that turning 4 × 4 in each
+/// quarter makes whole columns.
+///
+/// # Safety
+/// As for [`transpose`].
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f")]
+unsafe fn transpose_16(from: *const f32, from_stride: isize, to: *mut f32, to_stride: isize) {
+    use std::arch::x86_64::*;
+    // SAFETY: the caller vouches for the addresses.
+    unsafe {
+        for j in (0..16).step_by(4) {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|i| {
+                let quarter = |q: isize| _mm_loadu_ps(from.offset((i + 4 * q) * from_stride).add(j));
+                let all = _mm512_castps128_ps512(quarter(0));
+                let all = _mm512_insertf32x4::<1>(all, quarter(1));
+                _mm512_insertf32x4::<3>(_mm512_insertf32x4::<2>(all, quarter(2)), quarter(3))
+            });
+            let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
+            let (ab_high, cd_high) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
+            let columns = [
+                _mm512_shuffle_ps::<0x44>(ab, cd),
+                _mm512_shuffle_ps::<0xee>(ab, cd),
+                _mm512_shuffle_ps::<0x44>(ab_high, cd_high),
+                _mm512_shuffle_ps::<0xee>(ab_high, cd_high),
+            ];
+            for (k, column) in columns.into_iter().enumerate() {
+                _mm512_storeu_ps(to.offset((j + k) as isize * to_stride), column);
             }
         }
     }

@@ -146,7 +146,7 @@ fn whole(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared) {
     let forward = [axes.ascending, axes.row_offset >= 0.0, axes.col_offset >= 0.0];
     let swept = swept(sweep);
     // Layers, rows, columns of a block. Along x memory runs with the layers, else with the columns.
-    let block = if axes.layer == 0 { [256, 16, 128] } else { [32, 16, size[0]] };
+    let block = if axes.layer == 0 { [256, 32, 64] } else { [32, 16, size[0]] };
     let counts: [usize; 3] = std::array::from_fn(|a| swept.size[along[a]].div_ceil(block[a]));
     for diagonal in 0..counts.iter().sum::<usize>() - 2 {
         let blocks: Vec<[usize; 3]> = (0..counts[0] * counts[1])
@@ -353,27 +353,27 @@ fn brick_body(
     scratch.fit(2 * plane);
     let (mut s_up, mut s_now) = scratch.sigma[..2 * plane].split_at_mut(plane);
     let (mut r_up, mut r_now) = scratch.rho[..2 * plane].split_at_mut(plane);
-    let sigma = Shared::reading(sigma);
+    let from_sigma = Shared::reading(sigma);
     let layers = region.size[axes.layer];
     let start = region.start[axes.layer];
     let layer_of = |l: usize| if axes.ascending { start + l } else { start + layers - 1 - l };
     let before =
         if axes.ascending { start.checked_sub(1) } else { Some(start + layers).filter(|&l| l < size[axes.layer]) };
     if let Some(layer) = before {
-        gather(axes, size, &region, &local, layer, s_up, 0.0, true, sigma);
+        gather(axes, size, &region, &local, layer, s_up, 0.0, true, from_sigma);
         gather(axes, size, &region, &local, layer, r_up, 1.0, true, rho);
     }
     let (weights, half) = (weights(axes), -0.5 * sweep.length);
     let (here, up, pitch, cols) = (local.body, 1 - local.body, local.pitch, local.cols);
     let mut change = 0.0f32;
     for l in 0..layers {
-        if l + 1 < layers {
-            ask(axes, size, &region, &local, layer_of(l + 1), sigma);
-            ask(axes, size, &region, &local, layer_of(l + 1), rho);
-        }
-        gather(axes, size, &region, &local, layer_of(l), s_now, 0.0, true, sigma);
+        gather(axes, size, &region, &local, layer_of(l), s_now, 0.0, true, from_sigma);
         gather(axes, size, &region, &local, layer_of(l), r_now, 1.0, false, rho);
         for row in 1..=local.rows {
+            if l + 1 < layers {
+                ask(axes, size, &region, &local, layer_of(l + 1), row, from_sigma);
+                ask(axes, size, &region, &local, layer_of(l + 1), row, rho);
+            }
             let at = row * pitch;
             let (out, sigma) = (&mut r_now[at + here..][..cols], &s_now[at + here..][..cols]);
             if l == 0 && before.is_none() {
@@ -390,11 +390,11 @@ fn brick_body(
     change
 }
 
-/// Asks for a layer of a brick.
+/// Asks for a row of a layer of a brick.
 #[inline(always)]
-fn ask(axes: &Axes, size: [usize; 3], region: &Region, local: &Local, layer: usize, values: Shared) {
+fn ask(axes: &Axes, size: [usize; 3], region: &Region, local: &Local, layer: usize, row: usize, values: Shared) {
     let stride = [1, size[0], size[0] * size[1]];
-    for row in region.start[axes.row]..region.end()[axes.row] {
+    if let Some(row) = local.row_at(axes, size, region, row) {
         let at = layer * stride[axes.layer] + row * stride[axes.row];
         (0..local.cols).step_by(LINE).for_each(|i| prefetch(values.at(at + region.start[axes.col] + i)));
         local.col_before.inspect(|c| prefetch(values.at(at + c)));

@@ -98,7 +98,7 @@ fn sweep_slabs(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared, slab: &mu
                     } else {
                         (to.add((deep - 1) * plane), -(plane as isize))
                     };
-                    transpose(from.as_ptr(), stride[1] as isize, cols, deep, to, step, false);
+                    transpose(from.as_ptr(), stride[1] as isize, cols, deep, to, step);
                 }
             }
         });
@@ -136,7 +136,7 @@ fn sweep_slabs(axes: &Axes, sweep: &Sweep, sigma: &[f32], rho: Shared, slab: &mu
                         (from.add((deep - 1) * plane), -(plane as isize))
                     };
                     rho.check(base + lowest + (cols - 1) * stride[1], deep);
-                    transpose(from, step, deep, cols, rho.at(base + lowest), stride[1] as isize, false);
+                    transpose(from, step, deep, cols, rho.at(base + lowest), stride[1] as isize);
                 }
             }
         });

@@ -27,7 +27,7 @@ pub(super) fn turn_in(job: &Job, held: &Range<usize>, turned: &mut [f32]) {
             // for the first and the last layer, and `slots` overlaps no field.
             unsafe {
                 let (from, to) = (plane.as_ptr().add(span.start), slots.as_mut_ptr().add(start));
-                transpose(from, nx as isize, ny, span.len(), to, step * layer as isize, false);
+                transpose(from, nx as isize, ny, span.len(), to, step * layer as isize);
             }
         }
     }
@@ -49,7 +49,7 @@ pub(super) fn turn_out(job: &Job, band: &mut Band, sums: &[f32], columns: &mut [
             // of layers for each of ny lines.
             unsafe {
                 let (from, to) = (from.as_ptr().add(start), columns.as_mut_ptr());
-                transpose(from, step * layer as isize, span.len(), ny, to, WIDTH as isize, false);
+                transpose(from, step * layer as isize, span.len(), ny, to, WIDTH as isize);
             }
             for (line, values) in plane.chunks_exact_mut(nx).zip(columns.chunks_exact(WIDTH)) {
                 let (line, values) = (&mut line[span.clone()], &values[..span.len()]);
