@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use gloaming::field::Timestep;
-use gloaming::insitu::{self, Taken};
+use gloaming::insitu::{self, Policy, Taken};
 use gloaming::scene::Scene;
 use numpy::PyUntypedArray;
 use pyo3::prelude::*;
@@ -16,6 +16,8 @@ use crate::patience::patiently;
 #[pyclass(frozen, module = "gloaming._gloaming")]
 pub struct InSitu {
     session: Arc<insitu::InSitu>,
+    /// Steps that may wait, where a push then waits for room.
+    room: Option<u64>,
 }
 
 #[pymethods]
@@ -23,8 +25,12 @@ impl InSitu {
     #[new]
     fn new(py: Python<'_>, scene: (String, String, Vec<String>)) -> PyResult<InSitu> {
         let (text, name, sets) = scene;
-        let session = patiently(py, move || insitu::InSitu::with(Scene::parse(&text, &name, &sets)?).open())?;
-        Ok(InSitu { session: Arc::new(session) })
+        let (session, room) = patiently(py, move || {
+            let scene = Scene::parse(&text, &name, &sets)?;
+            let room = (scene.insitu.policy == Policy::Block).then_some(scene.insitu.queue as u64);
+            Ok((insitu::InSitu::with(scene).open()?, room))
+        })?;
+        Ok(InSitu { session: Arc::new(session), room })
     }
 
     /// Copies an array (z, y, x) into the queue, or takes it as it is when it is given: `queued`, `dropped` or `skipped`.
@@ -39,17 +45,19 @@ impl InSitu {
         give: bool,
     ) -> PyResult<&'static str> {
         let block = block(array, spacing, origin).map_err(|e| raised(py, e))?;
-        let pushed = py.detach(|| {
-            if give {
+        let session = self.session.clone();
+        let push = move || match give {
+            true => {
                 block.check()?;
-                self.session.push_owned(Timestep { step, time, grid: block.grid(), field: Arc::new(block) })
-            } else {
-                self.session.push(step, time, &block)
+                session.push_owned(Timestep { step, time, grid: block.grid(), field: Arc::new(block) })
             }
-        });
-        let taken = pushed.map_err(|e| raised(py, e))?;
-        // A policy of waiting may have held us for long.
-        py.check_signals()?;
+            false => session.push(step, time, &block),
+        };
+        // A push that may wait for room does so where Ctrl-C is answered; a thread for each push would cost more than small copies.
+        let taken = match self.room {
+            Some(room) if self.session.stats().waiting >= room => patiently(py, push)?,
+            _ => py.detach(push).map_err(|e| raised(py, e))?,
+        };
         Ok(match taken {
             Taken::Queued => "queued",
             Taken::Dropped => "dropped",

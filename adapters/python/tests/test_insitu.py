@@ -180,7 +180,7 @@ def test_a_program_that_forgets_to_close_has_its_movie(tmp_path):
     assert (tmp_path / "movie.mp4").stat().st_size > 0
 
 
-@pytest.mark.parametrize("call", ["gloaming.render(slow, scene)", "gloaming.light(slow, scene)", "flush()", "close()"])
+@pytest.mark.parametrize("call", ["gloaming.render(slow, scene)", "gloaming.light(slow, scene)", "flush()", "close()", "push()"])
 def test_ctrl_c_is_answered(tmp_path, call):
     # 128 directions to a tolerance of nothing take minutes.
     program = f"""
@@ -191,6 +191,10 @@ slow = np.ones((96, 96, 96), "float32")
 def flush():
     lit = gloaming.InSitu(scene, outputs=[{str(tmp_path / "f_{step}.png")!r}]); lit.push(slow)
     interrupt(); lit.flush()
+def push():
+    lit = gloaming.InSitu(scene, queue=1, outputs=[{str(tmp_path / "f_{step}.png")!r}]); lit.push(slow); lit.push(slow)
+    interrupt()
+    while True: lit.push(slow)
 def close():
     lit = gloaming.InSitu(scene, outputs=[{str(tmp_path / "f_{step}.png")!r}]); lit.push(slow)
     interrupt(); lit.close()
