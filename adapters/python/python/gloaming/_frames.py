@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import overload
 
 import numpy as np
+import numpy.typing as npt
 
 from ._gloaming import Frame, png
 
@@ -36,12 +37,12 @@ class Frames(Sequence[Frame]):
         return Frames(self._frames[index]) if isinstance(index, slice) else self._frames[index]
 
     @property
-    def array(self) -> np.ndarray:
+    def array(self) -> npt.NDArray[np.float32]:
         """Scene-linear radiance and coverage of all, shape (frames, height, width, 4)."""
         return np.stack([frame.array for frame in self])
 
     @property
-    def rgb(self) -> np.ndarray:
+    def rgb(self) -> npt.NDArray[np.uint8]:
         """What a screen shows of all, shape (frames, height, width, 3), 8-bit sRGB."""
         return np.stack([frame.rgb for frame in self])
 

@@ -8,11 +8,12 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _gloaming
 from ._frames import Frames
 from ._gloaming import Frame
-from ._scene import Scene, document
+from ._scene import Document, Scene, document
 from ._series import Series
 from ._volume import Triple, extent, triple, volume
 
@@ -93,8 +94,8 @@ def frames(
     1 True
     2 True
     """
-    scene = document(scene, **{"render.size": size, "field.range": range})
-    for seen, _ in _lit(series, scene, spacing, origin, steps, times, device, threads, light=False):
+    text = document(scene, **{"render.size": size, "field.range": range})
+    for seen, _ in _lit(series, text, spacing, origin, steps, times, device, threads, light=False):
         yield from seen
 
 
@@ -107,7 +108,7 @@ def light(
     origin: Triple | None = None,
     device: str = "auto",
     threads: int = 0,
-) -> np.ndarray | list[np.ndarray]:
+) -> npt.NDArray[np.float32] | list[npt.NDArray[np.float32]]:
     """The illuminated volume: fluence per colour channel, shape (z, y, x, 3), float32; a list of them for a series.
 
     The light grid fills the same box as the data with ``light.resolution`` of its values along each axis, half of them unless
@@ -119,8 +120,9 @@ def light(
     ((4, 6, 8, 3), 2.0)
     """
     # The pictures that come with it are as small as they can be.
-    scene = document(scene, **{"render.size": (1, 1), "field.range": range})
-    lit = [light for _, light in _lit(series, scene, spacing, origin, None, None, device, threads, light=True)]
+    text = document(scene, **{"render.size": (1, 1), "field.range": range})
+    both = _lit(series, text, spacing, origin, None, None, device, threads, light=True)
+    lit = [fluence for _, fluence in both if fluence is not None]
     return lit[0] if _is_volume(series) else lit
 
 
@@ -128,14 +130,14 @@ def _is_volume(series: Any) -> bool:
     if isinstance(series, Series):
         return False
     if hasattr(series, "ndim"):
-        return series.ndim != 4
+        return bool(series.ndim != 4)
     # Nested lists of numbers are a volume; a list of arrays is a series, and so is what can only be iterated.
     return isinstance(series, (list, tuple)) and not any(hasattr(item, "ndim") for item in series) and np.ndim(series) == 3
 
 
 def _lit(
     series: Any,
-    scene: Any,
+    scene: Document,
     spacing: Triple | None,
     origin: Triple | None,
     steps: Iterable[int] | None,
@@ -143,20 +145,20 @@ def _lit(
     device: str,
     threads: int,
     light: bool,
-) -> Iterator[tuple[list[Frame], np.ndarray | None]]:
+) -> Iterator[tuple[list[Frame], npt.NDArray[np.float32] | None]]:
     """Frames and light of each step."""
     if _is_volume(series):
         series = [series]
-    between, corner = triple(1.0 if spacing is None else spacing), triple(0.0 if origin is None else origin)
+    between = triple(1.0 if spacing is None else spacing)
+    corner = None if origin is None else triple(origin)
+    numbers: Iterator[int] = itertools.count() if steps is None else iter(steps)
+    moments: Iterator[float | None] = itertools.repeat(None) if times is None else iter(times)
     if isinstance(series, Series):
         between = between if spacing is not None else series.info()["grid"]["spacing"]
-        corner = None if origin is None else corner
-        steps = series.steps if steps is None else steps
-        times = series.times if times is None else times
+        numbers = numbers if steps is not None else iter(series.steps)
+        moments = moments if times is not None else iter(series.times)
     overall = _overall(series) if _gloaming.Session.wants_range(scene) else None
     session = _gloaming.Session(scene, overall, device, threads, light)
-    numbers = itertools.count() if steps is None else iter(steps)
-    moments = itertools.repeat(None) if times is None else iter(times)
     for array, first in _volumes(series):
         step, time = _next(numbers, "steps"), _next(moments, "times")
         yield session.advance(volume(array), step, time, between, first if corner is None else corner)
@@ -172,7 +174,8 @@ def _volumes(series: Any) -> Iterator[tuple[Any, list[float]]]:
 def _overall(series: Any) -> tuple[float, float] | None:
     """The range of all steps, where they can be had twice."""
     if isinstance(series, Series) and (known := series.info()["range"]):
-        return known[0]
+        (lo, hi), _ = known
+        return lo, hi
     if not (hasattr(series, "__len__") and hasattr(series, "__getitem__")):
         return None
     found = [limits for array, _ in _volumes(series) if (limits := extent(volume(array)))]

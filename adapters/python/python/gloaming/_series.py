@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Union
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _gloaming
 from ._volume import Triple, triple
@@ -71,7 +72,8 @@ class Series:
     def info(self) -> dict[str, Any]:
         """What was found: layout, files, field and candidates, grid (``size``, ``spacing`` and ``origin`` along x, y, z), steps
         with their times, warnings."""
-        return json.loads(json.dumps(self._info))
+        copy: dict[str, Any] = json.loads(json.dumps(self._info))
+        return copy
 
     @property
     def steps(self) -> list[int]:
@@ -83,7 +85,7 @@ class Series:
         """Physical times, ``None`` where they are not known."""
         return [step["time"] for step in self._info["steps"]]
 
-    def read(self, step: int, dtype: Any = np.float32) -> np.ndarray:
+    def read(self, step: int, dtype: Any = np.float32) -> npt.NDArray[Any]:
         """The values of a step by its number, (z, y, x), as float32 or float64; NaN where there are none.
 
         :raises LookupError: There is no such step.
@@ -97,7 +99,7 @@ class Series:
             first, last = self.steps[0], self.steps[-1]
             raise LookupError(f"no step {step} among the {len(self)}, which are numbered {first} to {last}") from None
 
-    def _read(self, index: int, dtype: Any = np.float32) -> tuple[np.ndarray, list[float]]:
+    def _read(self, index: int, dtype: Any = np.float32) -> tuple[npt.NDArray[Any], list[float]]:
         if np.dtype(dtype) == np.float64:
             return self._native.read_f64(index)
         values, origin = self._native.read(index)
@@ -106,7 +108,7 @@ class Series:
     def __len__(self) -> int:
         return len(self._info["steps"])
 
-    def __iter__(self) -> Iterator[np.ndarray]:
+    def __iter__(self) -> Iterator[npt.NDArray[Any]]:
         return (self._read(index)[0] for index in range(len(self)))
 
     def __repr__(self) -> str:

@@ -6,17 +6,21 @@ from collections.abc import Iterable
 from typing import Any, Union
 
 import numpy as np
+import numpy.typing as npt
 
 #: Three numbers along x, y, z, or one for all.
 Triple = Union[float, Iterable[float]]
 
 
-def volume(array: Any) -> np.ndarray:
+def volume(array: Any) -> npt.NDArray[Any]:
     """The array itself where it is one; masked values become holes."""
+    values: npt.NDArray[Any]
     if isinstance(array, np.ma.MaskedArray):
         wide = array.dtype.itemsize > 4 or array.dtype.kind not in "f"
-        return array.astype(np.float64 if wide else np.float32).filled(np.nan)
-    return np.asarray(array)
+        values = np.ma.filled(array.astype(np.float64 if wide else np.float32), np.nan)
+    else:
+        values = np.asarray(array)
+    return values
 
 
 def triple(value: Triple) -> list[float]:
@@ -29,7 +33,7 @@ def triple(value: Triple) -> list[float]:
     return [float(value)] * 3
 
 
-def extent(array: np.ndarray) -> tuple[float, float] | None:
+def extent(array: npt.NDArray[Any]) -> tuple[float, float] | None:
     """The least and greatest finite value."""
     if array.dtype.kind == "f":
         array = array[np.isfinite(array)]

@@ -26,7 +26,7 @@ class IoError(GloamingError, OSError):
     path: Path
 
     @property
-    def filename(self) -> str:  # type: ignore[override]
+    def filename(self) -> str:
         """The same as text, as an :class:`OSError` has it."""
         return os.fspath(self.path)
 
