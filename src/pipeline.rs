@@ -83,7 +83,8 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
     }
     let range = series_range(&*series, &indices, &scene, stop)?;
     let total = indices.len();
-    let sinks = open_sinks(&scene, &outputs, total, &series.info().field)?;
+    let info = series.info();
+    let sinks = open_sinks(&scene, &outputs, total, [&info.field, &info.units, &info.time_units])?;
     let wants_light = sinks.iter().any(|s| s.wants_light());
     let session = Session::new(device, scene, range, wants_light)?;
     let steps = indices.into_iter().map(|i| {
@@ -93,11 +94,19 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
     drive(steps, session, sinks, ledger, Some(total), stop, progress)
 }
 
-/// Opens one sink for each target.
-pub(crate) fn open_sinks(scene: &Scene, outputs: &[String], steps: usize, field: &str) -> Result<Vec<Box<dyn Sink>>> {
+/// Opens one sink for each target. `labels` are the field's name, its units and those of time, for pictures.
+pub(crate) fn open_sinks(
+    scene: &Scene,
+    outputs: &[String],
+    steps: usize,
+    labels: [&str; 3],
+) -> Result<Vec<Box<dyn Sink>>> {
+    let [field, units, time_units] = labels.map(String::from);
     let options = SinkOptions {
         steps,
-        field: field.into(),
+        field,
+        units,
+        time_units,
         cameras: cameras(scene).into_iter().map(|c| c.name).collect(),
         colors: TransferFunction::new(&scene.transfer)?.colors(),
         ..SinkOptions::from(scene)

@@ -307,3 +307,56 @@ fn what_cannot_be_encoded_is_said_with_a_way_out() {
     assert!(refused("m.mp4", &SinkOptions { fps: 0.0, ..options(&["main"]) }).contains("movie.fps"));
     assert!(refused("m.mp4", &SinkOptions { quality: 52, ..options(&["main"]) }).contains("movie.quality"));
 }
+
+/// A grey frame, brighter with each step.
+fn grey(step: usize) -> Frame {
+    Frame { size: [64, 64], pixels: vec![[0.02 * (step * step) as f32 + 0.01; 4]; 64 * 64] }
+}
+
+/// Writes steps at these times and tells which step each frame of the movie shows, by its brightness.
+fn shown(folder: &Path, options: &SinkOptions, times: &[Option<f64>]) -> Vec<usize> {
+    let mut sink = open(folder, "paced.mp4", options);
+    for (step, &time) in times.iter().enumerate() {
+        let step = output(step as u64, vec![view("main", grey(step))]);
+        sink.write(&Output { time, ..step }).unwrap();
+    }
+    sink.finish().unwrap();
+    let drawn: Vec<f64> = (0..times.len()).map(|s| f64::from(options.display.picture(&grey(s)).as_raw()[0])).collect();
+    let movie = take_apart(&folder.join("paced.mp4"));
+    let mut decoder = Decoder::new().unwrap();
+    let nearest = |frame: &Vec<u8>| {
+        let is = decode(&mut decoder, frame, movie.size)[0][0];
+        (0..drawn.len()).min_by(|&a, &b| (drawn[a] - is).abs().total_cmp(&(drawn[b] - is).abs())).unwrap()
+    };
+    movie.frames.iter().map(nearest).collect()
+}
+
+#[test]
+fn seconds_per_time_unit_paces_steps_by_repeating_and_leaving_out_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let paced =
+        |seconds: f64, fps: f64| SinkOptions { seconds_per_time_unit: Some(seconds), fps, ..options(&["main"]) };
+    let times = |t: &[f64]| t.iter().map(|t| Some(*t)).collect::<Vec<_>>();
+    // Ten frames a unit of time: the second step stays three times as long as the first; the last as long as that.
+    let shown = |options: &SinkOptions, times: &[Option<f64>]| shown(folder.path(), options, times);
+    assert_eq!(shown(&paced(1.0, 10.0), &times(&[5.0, 5.1, 5.4])), [0, 1, 1, 1, 2, 2, 2]);
+    // Two and a half frames a unit: begins at frames 0, 2.5, 5, 7.5.
+    assert_eq!(shown(&paced(0.25, 10.0), &times(&[0.0, 1.0, 2.0, 3.0])), [0, 0, 0, 1, 1, 2, 2, 2, 3, 3, 3]);
+    // A third of a frame a unit: steps fall on the same frame as the next, but for two.
+    assert_eq!(shown(&paced(1.0 / 3.0, 1.0), &times(&[0.0, 1.0, 2.0, 3.0, 4.0])).len(), 2);
+    // Times that are missing, repeat or go back give a frame each, and do not disturb what follows.
+    let odd = [Some(0.0), Some(0.2), None, Some(0.1), Some(0.1), Some(0.3)];
+    assert_eq!(shown(&paced(1.0, 10.0), &odd), [0, 0, 1, 2, 3, 4, 4, 5, 5]);
+    // Without a pace every step has one frame, whatever its time.
+    assert_eq!(shown(&options(&["main"]), &odd), [0, 1, 2, 3, 4, 5]);
+    let mut sink = open(folder.path(), "long.mp4", &paced(1e9, 30.0));
+    for step in 0..2 {
+        let mut output = output(step, vec![view("main", cloud([64, 64], 0))]);
+        output.time = Some(step as f64);
+        match sink.write(&output) {
+            Ok(()) => assert_eq!(step, 0),
+            Err(e) => assert!(step == 1 && e.to_string().contains("movie.seconds_per_time_unit"), "{e}"),
+        }
+    }
+    sink.finish().unwrap();
+}

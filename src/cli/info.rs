@@ -4,8 +4,8 @@ use std::io::Write;
 
 use anyhow::{Context as _, bail};
 use gloaming::field::Timestep;
-use gloaming::grid::Region;
-use gloaming::source::{Series, SeriesInfo, SourceSpec, Statistics, statistics};
+use gloaming::grid::{Grid, Region};
+use gloaming::source::{Series, SeriesInfo, SourceSpec, Statistics, statistics_of};
 use serde_json::{Value, json};
 
 /// Figures of one step: with `--stats`, and the value at the `--probe`.
@@ -47,9 +47,9 @@ fn figures_of(
     }
     let number = series.info().steps[index].step;
     let read = || -> anyhow::Result<Figures> {
-        let step = series.timestep(index)?;
-        let found = stats.then(|| statistics(&step)).transpose()?;
-        Ok(Figures { statistics: found, probe: probe.map(|at| value_at(&step, at)).transpose()? })
+        let native = series.native(index)?;
+        let found = stats.then(|| statistics_of(&native.pieces)).transpose()?;
+        Ok(Figures { statistics: found, probe: probe.map(|at| value_at(&native.step, at)).transpose()? })
     };
     match read() {
         Ok(figures) => {
@@ -98,10 +98,14 @@ fn report(info: &SeriesInfo, figures: &[Figures], warnings: &[String]) -> Value 
         .collect();
     let range = info.range.as_ref().map(|([lo, hi], source)| json!({ "min": lo, "max": hi, "source": source }));
     json!({
-        "layout": info.layout, "series": info.series, "field": info.field, "candidates": info.candidates,
-        "grid": info.grid, "steps": steps, "range": range, "warnings": warnings,
+        "layout": info.layout, "why": info.why, "series": info.series, "field": info.field, "units": info.units,
+        "candidates": info.candidates, "others": info.others, "grid": info.grid, "resampled": info.resampled,
+        "level": info.level, "time_units": info.time_units, "steps": steps, "range": range, "warnings": warnings,
     })
 }
+
+/// Datasets beside the volumes that the table names.
+const OTHERS: usize = 8;
 
 /// Eight significant digits at most, in powers of ten where plain digits would be many.
 fn short(value: f64) -> String {
@@ -123,11 +127,23 @@ fn table(out: &mut impl Write, info: &SeriesInfo, figures: &[Figures], warnings:
     };
     let ([nx, ny, nz], [dx, dy, dz], [x, y, z]) = (info.grid.size, info.grid.spacing, info.grid.origin);
     writeln!(out, "layout    {}", info.layout)?;
+    writeln!(out, "because   {}", info.why.join("; "))?;
     writeln!(out, "series    {files}")?;
-    writeln!(out, "field     {}", info.field)?;
+    let units = if info.units.is_empty() { String::new() } else { format!(" [{}]", info.units) };
+    writeln!(out, "field     {}{units}", info.field)?;
     for other in info.candidates.iter().filter(|c| info.candidates.len() > 1 || c.name != info.field) {
         let shape: Vec<String> = other.shape.iter().map(usize::to_string).collect();
         writeln!(out, "  there is {}  {} {} {}", other.name, shape.join("×"), other.dtype, other.kind)?;
+    }
+    for other in info.others.iter().take(OTHERS) {
+        writeln!(out, "  also    {other}")?;
+    }
+    if info.others.len() > OTHERS {
+        writeln!(
+            out,
+            "  also    {} more datasets that are no volumes (--json lists them)",
+            info.others.len() - OTHERS
+        )?;
     }
     let units = if info.grid.units.is_empty() { String::new() } else { format!(" {}", info.grid.units) };
     writeln!(
@@ -135,6 +151,9 @@ fn table(out: &mut impl Write, info: &SeriesInfo, figures: &[Figures], warnings:
         "grid      {nx}×{ny}×{nz}  spacing {dx} {dy} {dz}{units}  origin {x} {y} {z}  {}",
         info.grid.centering
     )?;
+    if let Some(Grid { size: [nx, ny, nz], spacing: [dx, dy, dz], origin: [x, y, z] }) = info.resampled {
+        writeln!(out, "shown as  {nx}×{ny}×{nz}  spacing {dx} {dy} {dz}{units}  origin {x} {y} {z}")?;
+    }
     if let Some(([lo, hi], source)) = &info.range {
         writeln!(out, "range     {lo} to {hi} ({source})")?;
     }
@@ -152,7 +171,9 @@ fn table(out: &mut impl Write, info: &SeriesInfo, figures: &[Figures], warnings:
             writeln!(out, "{:>10}{cells}{valid}{}", step.step, number(figures.probe))?;
         }
     } else if let (Some(first), Some(last)) = (info.steps.first(), info.steps.last()) {
-        let time = |t: Option<f64>| t.map_or(String::from("unknown"), |t| t.to_string());
+        let time = |t: Option<f64>| {
+            t.map_or(String::from("unknown"), |t| format!("{t} {}", info.time_units).trim().to_owned())
+        };
         writeln!(
             out,
             "          {} (time {}) to {} (time {})",

@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, ValueEnum};
+use gloaming::Error;
+use gloaming::memory;
 use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::{ComponentKey, Scene};
 use gloaming::source::{self, SourceSpec};
-use gloaming::{Grid, memory};
 use indicatif::{HumanDuration, MultiProgress};
 
 use super::Done;
@@ -47,6 +48,12 @@ pub struct RenderArgs {
     /// Size of the frames in pixels
     #[arg(long, value_name = "WxH", value_parser = parse::pixels)]
     size: Option<[usize; 2]>,
+    /// Frames per second of movies
+    #[arg(long, value_name = "N")]
+    fps: Option<f64>,
+    /// Seconds of movie for a unit of the series' time; else each step gets one frame
+    #[arg(long, value_name = "S")]
+    seconds_per_time_unit: Option<f64>,
     /// Where to compute: auto (a hardware GPU if there is one, else the CPU), cpu, gpu, or part of an adapter's name
     #[arg(long, default_value = "auto", value_name = "auto|cpu|gpu|NAME")]
     device: String,
@@ -93,6 +100,8 @@ impl RenderArgs {
             None => {}
         }
         sets.extend(self.tolerance.map(|t| format!("light.tolerance={t:?}")));
+        sets.extend(self.fps.map(|fps| format!("movie.fps={fps:?}")));
+        sets.extend(self.seconds_per_time_unit.map(|s| format!("movie.seconds_per_time_unit={s:?}")));
         if self.cold {
             sets.push("light.warm=false".into());
         }
@@ -100,10 +109,11 @@ impl RenderArgs {
     }
 }
 
-/// What to open: the scene names the field where the command line does not, and picks the component.
+/// What to open: the scene names the field and the level where the command line does not, and picks the component.
 pub fn spec(args: SeriesArgs, scene: &Scene) -> SourceSpec {
     let mut spec = args.spec();
     spec.field = spec.field.or_else(|| scene.field.name.clone());
+    spec.level = spec.level.or(scene.field.level);
     spec.component = Some(match &scene.field.component {
         ComponentKey::Index(i) => i.to_string(),
         ComponentKey::Name(name) => name.clone(),
@@ -129,7 +139,7 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
     }
     let device = gloaming::device::open(&device, 0)?;
     let device = match budget.or_else(memory::available) {
-        Some(budget) => memory::fit(device, &scene, &Grid::from(&info.grid), budget, &scratch_folder(&out[0]))?,
+        Some(budget) => memory::fit(device, &scene, &series.grid(), budget, &scratch_folder(&out[0]))?,
         None => device,
     };
     tracing::info!("{}, {} steps of `{}` on {}", info.layout, indices.len(), info.field, device.name());

@@ -29,12 +29,15 @@ pub struct SeriesArgs {
     /// Layout of headerless files, such as dims=96x96x96,dtype=f64le,offset=24,order=zyx,steps=12
     #[arg(long, value_name = "LAYOUT")]
     pub raw: Option<String>,
+    /// Level of refinement to bring a mesh to, 0 the coarsest; the finest when absent
+    #[arg(long, value_name = "N")]
+    pub level: Option<usize>,
 }
 
 impl SeriesArgs {
     /// What to open.
     pub fn spec(self) -> SourceSpec {
-        let SeriesArgs { series, field, axes, spacing, origin, time_step, raw } = self;
-        SourceSpec { series, field, component: None, axes, spacing, origin, time_step, raw }
+        let SeriesArgs { series, field, axes, spacing, origin, time_step, raw, level } = self;
+        SourceSpec { series, field, component: None, axes, spacing, origin, time_step, raw, level }
     }
 }

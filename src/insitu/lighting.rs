@@ -84,8 +84,8 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     let field = scene.field.name.clone().unwrap_or_default();
     // Sinks given by the program are not asked: nobody knows whether what they made last time is still there.
     let resumable = keys.resume && sinks.is_empty();
-    let complete = if resumable { open_sinks(&scene, &keys.outputs, 0, &field)? } else { vec![] };
-    let mut all = open_sinks(&scene, &keys.outputs, 0, &field)?;
+    let complete = if resumable { open_sinks(&scene, &keys.outputs, 0, [&field, "", ""])? } else { vec![] };
+    let mut all = open_sinks(&scene, &keys.outputs, 0, [&field, "", ""])?;
     all.append(&mut sinks);
     let ledger = match &keys.ledger {
         Some(path) if keys.resume => Some(Ledger::resume(path)?),

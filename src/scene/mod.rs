@@ -45,6 +45,8 @@ pub struct FieldKeys {
     pub range: RangeKey,
     /// Component of a vector field: x, y, z, an index, or magnitude.
     pub component: ComponentKey,
+    /// Level of refinement that a mesh is brought to, 0 the coarsest; the finest when absent.
+    pub level: Option<usize>,
 }
 
 /// `field.range`
@@ -501,12 +503,15 @@ pub enum Overlay {
 pub struct MovieKeys {
     /// Frames per second.
     pub fps: f64,
+    /// Seconds of movie for a unit of physical time; absent, each step gets one frame. Frames stay evenly spaced: a step is
+    /// repeated until the next one is due, and left out when that is due within the same frame.
+    pub seconds_per_time_unit: Option<f64>,
     /// Constant quality, 0 (best) to 51: the quantiser of H.264, in which 6 more halves the file; below 12 is as 12.
     pub quality: u8,
 }
 
 impl Default for MovieKeys {
     fn default() -> Self {
-        MovieKeys { fps: 24.0, quality: 23 }
+        MovieKeys { fps: 24.0, seconds_per_time_unit: None, quality: 23 }
     }
 }

@@ -184,6 +184,9 @@ fn render(keys: &RenderKeys) -> Result<()> {
 
 fn movie(keys: &MovieKeys) -> Result<()> {
     require(keys.fps > 0.0 && keys.fps <= 1000.0, "movie.fps", keys.fps)?;
+    if let Some(seconds) = keys.seconds_per_time_unit {
+        require(seconds > 0.0 && seconds.is_finite(), "movie.seconds_per_time_unit", seconds)?;
+    }
     require(keys.quality <= 51, "movie.quality", keys.quality)
 }
 

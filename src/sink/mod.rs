@@ -104,6 +104,8 @@ pub struct SinkOptions {
     pub steps: usize,
     /// Frames per second of movies.
     pub fps: f64,
+    /// Seconds of movie for a unit of physical time; `None` gives each step one frame.
+    pub seconds_per_time_unit: Option<f64>,
     /// Constant quality of movies, 0 (best) to 51.
     pub quality: u8,
     /// Background, exposure and tone map of 8-bit pictures.
@@ -136,6 +138,7 @@ impl From<&Scene> for SinkOptions {
             cameras: if cameras.is_empty() { vec!["main".into()] } else { cameras },
             steps: 0,
             fps: scene.movie.fps,
+            seconds_per_time_unit: scene.movie.seconds_per_time_unit,
             quality: scene.movie.quality,
             display: Display::from(&scene.render),
             overlay: scene.render.overlay.clone(),

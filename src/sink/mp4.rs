@@ -1,6 +1,9 @@
 //! MP4: H.264 movies, encoded and packed in this process, one file per camera.
 //!
-//! Frames come at a constant rate, one per step in the order they arrive. Colours are BT.709 in limited range, 4:2:0. An odd
+//! Frames come at a constant rate, in the order in which steps arrive: one per step, or, with seconds per time unit S given,
+//! step i from frame `round(fps·S·(t_i − t_0))` to the next step's: repeated, or left out where both fall on one frame. A
+//! step that is followed by a time that is missing, repeats or goes back gets one frame; the last one stays as long as the
+//! one before it. Colours are BT.709 in limited range, 4:2:0. An odd
 //! width or height grows by one pixel: the last column or row is repeated. A keyframe comes once a second.
 //!
 //! Until it is finished a movie grows as `movie.partial.mp4`, in fragments of two frames: a run that is killed leaves a file
@@ -34,6 +37,45 @@ pub(super) struct Mp4 {
     template: Template,
     options: SinkOptions,
     movies: BTreeMap<String, Movie>,
+    pace: Pace,
+}
+
+/// Frames that one step may stand for: an hour at 30 frames a second.
+const LONGEST: u64 = 108_000;
+
+/// Which frames show a step.
+#[derive(Default)]
+struct Pace {
+    /// Frames for a unit of time; `None` gives each step one.
+    rate: Option<f64>,
+    /// Time of the step in hand, and where it begins, in frames.
+    last: Option<(Option<f64>, f64)>,
+    /// How long the step before it stayed.
+    stayed: u64,
+    /// Steps without a frame.
+    skipped: u64,
+}
+
+impl Pace {
+    /// Frames of the step in hand, now that the time of the next one is known; 0 before the first step.
+    fn next(&mut self, time: Option<f64>) -> Result<u64> {
+        let Some((before, begun)) = self.last else {
+            self.last = Some((time, 0.0));
+            return Ok(0);
+        };
+        let apart = before.zip(time).map(|(a, b)| b - a).filter(|d| *d > 0.0 && d.is_finite());
+        let length = apart.zip(self.rate).map_or(1.0, |(d, rate)| d * rate);
+        let ends = begun + length;
+        let frames = ends.round() - begun.round();
+        if frames > LONGEST as f64 {
+            let found = format!("a step would stay for {frames} frames");
+            return Err(Error::scene("movie.seconds_per_time_unit", found + ": give fewer seconds per time unit"));
+        }
+        self.last = Some((time, ends));
+        self.stayed = frames as u64;
+        self.skipped += u64::from(self.stayed == 0);
+        Ok(self.stayed)
+    }
 }
 
 impl Mp4 {
@@ -48,12 +90,14 @@ impl Mp4 {
         if quality > 51 {
             return Err(Error::scene("movie.quality", format!("{quality}: give 0 (best) to 51")));
         }
-        Ok(Mp4 { template, options, movies: BTreeMap::new() })
+        let rate = options.seconds_per_time_unit.map(|seconds| seconds * fps);
+        Ok(Mp4 { template, options, movies: BTreeMap::new(), pace: Pace { rate, ..Pace::default() } })
     }
 }
 
 impl Sink for Mp4 {
     fn write(&mut self, output: &Output) -> Result<()> {
+        let due = self.pace.next(output.time)?;
         for view in &output.frames {
             let picture = self.options.picture(output, view);
             let movie = match self.movies.get_mut(&view.camera) {
@@ -64,15 +108,32 @@ impl Sink for Mp4 {
                     self.movies.entry(view.camera.clone()).or_insert(movie)
                 }
             };
-            movie.add(&picture)?;
+            if self.pace.rate.is_none() {
+                movie.add(&picture, 1)?;
+                continue;
+            }
+            // A step's picture is held back until the next one's time tells how long it stays.
+            if let Some(held) = movie.held.replace(picture) {
+                movie.add(&held, due)?;
+            }
         }
         Ok(())
     }
 
     fn finish(&mut self) -> Result<()> {
+        let stayed = self.pace.stayed.max(1);
+        let last = |m: &mut Movie| m.held.take().map_or(Ok(()), |held| m.add(&held, stayed));
+        let added: Vec<_> = self.movies.values_mut().map(last).collect();
+        if self.pace.skipped > 0 {
+            tracing::warn!(
+                "{} steps fall on the same frame as the next one and are not in the movie; --fps or \
+                 --seconds-per-time-unit spreads them",
+                self.pace.skipped
+            );
+        }
         // Every camera's movie is finished, whatever became of the others.
         let results: Vec<_> = std::mem::take(&mut self.movies).into_values().map(Movie::finish).collect();
-        results.into_iter().collect()
+        added.into_iter().chain(results).collect()
     }
 }
 
@@ -85,6 +146,8 @@ struct Movie {
     /// Encoded frames, and whether each is a keyframe. A movie is small beside the volumes it was made of.
     frames: Vec<(Vec<u8>, bool)>,
     fragments: Option<Fragments>,
+    /// The picture of the step in hand, while it is not known how long it stays.
+    held: Option<RgbImage>,
 }
 
 impl Movie {
@@ -116,15 +179,20 @@ impl Movie {
             .vui(VuiConfig::bt709());
         let encoder = Encoder::with_api_config(OpenH264API::from_source(), config)
             .map_err(|e| encoding(&path, &e.to_string()))?;
-        Ok(Movie { path, size, fps: options.fps, encoder, frames: vec![], fragments: None })
+        Ok(Movie { path, size, fps: options.fps, encoder, frames: vec![], fragments: None, held: None })
     }
 
-    fn add(&mut self, picture: &RgbImage) -> Result<()> {
+    /// Adds a picture as so many frames.
+    fn add(&mut self, picture: &RgbImage, frames: u64) -> Result<()> {
         if [picture.width(), picture.height()] != self.size {
             let found = format!("a frame of {}x{} after frames of {:?}", picture.width(), picture.height(), self.size);
             return Err(Error::format(&self.path, found, "one --size for all steps of a movie"));
         }
         let yuv = Yuv::from_rgb(picture);
+        (0..frames).try_for_each(|_| self.encode(&yuv))
+    }
+
+    fn encode(&mut self, yuv: &Yuv) -> Result<()> {
         let [w, h] = yuv.size;
         let planes = YUVSlices::new((&yuv.y, &yuv.u, &yuv.v), (w, h), (w, w / 2, w / 2));
         let milliseconds = (1000.0 * self.frames.len() as f64 / self.fps).round() as u64;

@@ -102,8 +102,8 @@ pub(crate) struct Evidence<'a> {
 /// Places the axes of an array: what was asked for, else what the file states, else by rank: three axes are z, y, x;
 /// of four, time is the unlimited one, else the one as long as a list of times, else the leading one. Arrays with
 /// time last are taken as x, y, z, t. An axis of length 2 to 4, last or first, is taken for components only when the
-/// rank leaves no other reading. Guesses are added to `warnings`.
-pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
+/// rank leaves no other reading. Guesses are added to `warnings`; what decided comes with the axes.
+pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<(Axes, &'static str)> {
     let rank = e.shape.len();
     let shape = super::shape_text(e.shape);
     let fail = |found: String| Err(Error::format(e.name, found, "--axes ORDER, slowest axis first, such as tzyx"));
@@ -113,11 +113,11 @@ pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
         if axes.rank() != rank {
             return fail(format!("--axes {asked} names {} axes, but the array is {shape}, {rank} axes", axes.rank()));
         }
-        return Ok(axes);
+        return Ok((axes, "--axes"));
     }
     if let Some(stated) = e.stated {
         match Axes::parse(stated) {
-            Ok(axes) if axes.rank() == rank => return Ok(axes),
+            Ok(axes) if axes.rank() == rank => return Ok((axes, "told by the file")),
             Ok(_) => warnings.push(format!("{}: its axes attribute `{stated}` does not fit {shape}: ignored", e.name)),
             Err(why) => warnings.push(format!("{}: its axes attribute is ignored: {why}", e.name)),
         }
@@ -127,8 +127,29 @@ pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
         [one] => Some(*one),
         _ => (0..rank).find(|&a| e.shape[a] > 1 && e.time_lengths.contains(&e.shape[a])),
     };
+    let reason = match (rank, evident, e.unlimited) {
+        (3, ..) => "z, y, x when nothing else is told",
+        (_, Some(_), [_]) => "time is the axis that may grow",
+        (_, Some(_), _) => "time is the axis as long as a list of times",
+        _ => "by rank and length",
+    };
     let axes = match rank {
-        3 => Axes::with(3, None, None),
+        3 => match evident.filter(|_| !e.many) {
+            None => Axes::with(3, None, None),
+            Some(time) if e.unlimited.len() == 1 && !e.time_lengths.contains(&e.shape[time]) => {
+                warnings.push(format!(
+                    "{}: {shape} is taken for one volume, but its axis {} may grow: a series of maps has no volume",
+                    e.name,
+                    time + 1
+                ));
+                Axes::with(3, None, None)
+            }
+            Some(time) => {
+                let found =
+                    format!("{shape} looks like a series of maps: axis {} is as long as a list of times", time + 1);
+                return Err(Error::format(e.name, found, "--axes zyx if it is a volume all the same"));
+            }
+        },
         4 => match evident {
             Some(time) => Axes::with(4, Some(time), None),
             _ if e.many && e.shape[0] == 1 => Axes::with(4, Some(0), None),
@@ -167,7 +188,7 @@ pub(crate) fn place(e: &Evidence, warnings: &mut Vec<String>) -> Result<Axes> {
             axes.spelled()
         ));
     }
-    Ok(axes)
+    Ok((axes, reason))
 }
 
 #[cfg(test)]
@@ -179,7 +200,7 @@ mod tests {
     }
 
     fn placed(e: &Evidence) -> String {
-        place(e, &mut Vec::new()).unwrap().spelled()
+        place(e, &mut Vec::new()).unwrap().0.spelled()
     }
 
     #[test]
@@ -195,6 +216,9 @@ mod tests {
     #[test]
     fn a_short_axis_holds_components_only_when_rank_demands_it() {
         assert_eq!(placed(&evidence(&[20, 20, 3])), "zyx");
+        let maps = Evidence { time_lengths: &[7], ..evidence(&[7, 20, 20]) };
+        assert!(place(&maps, &mut Vec::new()).unwrap_err().to_string().contains("series of maps"));
+        assert_eq!(placed(&Evidence { asked: Some("zyx"), ..maps }), "zyx");
         assert_eq!(placed(&evidence(&[20, 20, 20, 3])), "tzyx");
         assert_eq!(placed(&Evidence { many: true, ..evidence(&[20, 20, 20, 3]) }), "zyxc");
         assert_eq!(placed(&Evidence { many: true, ..evidence(&[3, 20, 20, 20]) }), "czyx");

@@ -163,8 +163,12 @@ const NOT_DATA: [&str; 16] =
 /// The one family of numbered files in a folder.
 fn directory(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut families: Vec<(String, Vec<PathBuf>)> = Vec::new();
+    let mut inner: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))? {
         let path = entry.map_err(|e| Error::io(folder, e))?.path();
+        // Enzo keeps each output in a folder of the output's name.
+        let own = path.file_name().map(|name| path.join(name).with_extension("hierarchy"));
+        inner.extend(own.filter(|own| own.is_file()));
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         if !path.is_file() || name.starts_with('.') || NOT_DATA.contains(&extension.as_str()) {
@@ -176,12 +180,14 @@ fn directory(folder: &Path) -> Result<Vec<PathBuf>> {
             None => families.push((family, vec![path])),
         }
     }
-    let with = |extensions: &[&str]| families.iter().any(|(f, _)| extensions.iter().any(|e| f.ends_with(e)));
-    if with(&[".nhdr", ".mhd"]) {
-        families.retain(|(f, _)| f.ends_with(".nhdr") || f.ends_with(".mhd"));
+    // Headers speak for the files that they name.
+    let headers = |family: &str| [".nhdr", ".mhd", ".hierarchy"].iter().any(|e| family.ends_with(e));
+    if families.iter().any(|(f, _)| headers(f)) {
+        families.retain(|(f, _)| headers(f));
     }
     families.sort();
     match families.len() {
+        _ if !inner.is_empty() => Ok(inner),
         1 => Ok(families.swap_remove(0).1),
         0 => Err(Error::format(folder, "no data files in this folder", "the folder of the series, or its files")),
         n => {

@@ -86,8 +86,8 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
         size,
         spacing: triple(&["elementspacing", "elementsize"], 1.0),
         origin: triple(&["offset", "origin", "position"], 0.0),
-        units: String::new(),
         centering: "node".into(),
+        ..GridInfo::default()
     };
     let field = path.file_stem().map_or("values".into(), |s| s.to_string_lossy().into_owned());
     Ok(vec![Header { field, raw, bytes, grid, time: None, warnings: Vec::new() }])

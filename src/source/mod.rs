@@ -9,31 +9,38 @@
 //!
 //! | layout | read | told by |
 //! | --- | --- | --- |
-//! | generic HDF5 | a file a step, numbered groups or datasets, or one dataset with a time axis; any axis order, integers and floats of either byte order, vectors | attributes or 1-D datasets `time`, `spacing`, `origin`, `axes`; else `--axes`, `--spacing`, … |
+//! | generic HDF5 | a file a step, numbered groups or datasets, or one dataset with a time axis; any axis order, integers and floats of either byte order, vectors | attributes or 1-D datasets `time`, `spacing`, `origin`, `axes`, `x`, `y`, `z`; else `--axes`, `--spacing`, … |
 //! | VTKHDF | ImageData, points and cells, temporal | group `/VTKHDF` |
 //! | openPMD 1.x | group- and file-based, vectors, constant components; values as stored | root attribute `openPMD` |
-//! | netCDF-4 / CF | dimension scales, packed and fill values; not netCDF-3 | `_NCProperties`, dimension scales |
-//! | FLASH, Athena++ | mesh blocks; refined ones brought to the finest level, coarse values repeated | `bounding box`; `NumMeshBlocks` |
-//! | Cholla, Dedalus, Meep | one file or one group a step | root attributes; `/tasks`; a time in the file's name |
-//! | XDMF | uniform grids over HDF5 (hyperslabs too) and raw files | `<Xdmf` |
-//! | VTK `.vti`, `.vtk`, `.pvd` | ImageData and STRUCTURED_POINTS in every coding but LZ4 and LZMA | their first bytes |
+//! | netCDF-4 / CF | dimension scales, bounds, packed and fill values; not netCDF-3 | `_NCProperties`, dimension scales |
+//! | FLASH, Athena++ | mesh blocks | `bounding box`; `NumMeshBlocks` |
+//! | Chombo, AMReX in HDF5 | boxes, ghost cells, all components in one dataset or one each | `level_0` and `Chombo_global` |
+//! | Enzo | packed and single files, by folder, parameter file, `.hierarchy` or `.cpu0000` | `TopGridDimensions`, `Grid00000001` |
+//! | Grid Data Format | grids on cells, both orders | `gridded_data_format` |
+//! | Cholla, Dedalus, Meep, JHTDB, ADIOS2 in HDF5 | one file or one group a step | root attributes; `/tasks`; a time in the file's name; `xcoor`; `NumSteps` |
+//! | XDMF | uniform and rectilinear grids over HDF5 (hyperslabs too) and raw files | `<Xdmf` |
+//! | VTK `.vti`, `.vtr`, `.vtk`, `.pvd` | images and rectilinear grids in every coding but LZ4 and LZMA | their first bytes |
 //! | NRRD, MetaImage | raw, gzip or zlib, text; in one file or two | their first bytes |
 //! | raw | anything uniform: `dims` (along x, y, z), `dtype` (`f64le`, `u8`, …), `offset`, `order` (slowest first), `steps`, `components`, `gap` (bytes between steps), `start` (time of step 0) | `--raw` |
 //!
 //! Spacing and origin in a file are taken in x, y, z order. Values are as stored, with packing undone; fill values and
-//! holes read as NaN. Uneven coordinates get their mean spacing. All that was assumed is in [`SeriesInfo::warnings`].
+//! holes read as NaN. [`Series::timestep`] brings uneven axes to even ones and meshes to one level ([`SourceSpec::level`]);
+//! [`Series::native`] has the file's own. All that was assumed is in [`SeriesInfo::warnings`].
 
 mod axes;
 mod choose;
 mod coords;
+mod enzo;
 mod expand;
 mod h5;
 mod headed;
+mod mesh;
 mod mhd;
 mod nrrd;
 mod raw;
 mod series;
 mod statistics;
+mod stretch;
 mod values;
 mod vti;
 mod vtk;
@@ -42,6 +49,7 @@ mod xml;
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::Serialize;
 
@@ -49,7 +57,7 @@ use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::Grid;
 
-pub use statistics::{Statistics, statistics};
+pub use statistics::{Piece, Statistics, statistics, statistics_of};
 
 /// What to open, and what overrides or supplies what the files say.
 #[derive(Debug, Clone, Default)]
@@ -70,10 +78,12 @@ pub struct SourceSpec {
     pub time_step: Option<f64>,
     /// `dims=96x96x96,dtype=f64le,offset=24,order=zyx,steps=12` for headerless files.
     pub raw: Option<String>,
+    /// Level of refinement to bring a mesh to, 0 the coarsest; the finest when absent.
+    pub level: Option<usize>,
 }
 
 /// What was found, from metadata alone.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct SeriesInfo {
     /// Name of the layout, such as `hdf5 4-D dataset`.
     pub layout: String,
@@ -83,8 +93,20 @@ pub struct SeriesInfo {
     pub field: String,
     /// Everything that could have been.
     pub candidates: Vec<Candidate>,
-    /// Grid of the first step.
+    /// By which marks the layout was told.
+    pub why: Vec<String>,
+    /// What else the files hold: datasets that are no volumes.
+    pub others: Vec<String>,
+    /// Units of the values; empty when the files do not say.
+    pub units: String,
+    /// Units of the times; empty when the files do not say.
+    pub time_units: String,
+    /// Grid of the first step, as the file has it.
     pub grid: GridInfo,
+    /// The uniform grid that steps are brought to, where the file's own is uneven.
+    pub resampled: Option<Grid>,
+    /// Level of refinement that `grid` has, where there are levels.
+    pub level: Option<usize>,
     /// The steps, in order.
     pub steps: Vec<StepInfo>,
     /// Range of values over the series where the file says it, and where it says so.
@@ -107,11 +129,11 @@ pub struct Candidate {
 }
 
 /// The grid as the file has it.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct GridInfo {
     /// Values along x, y, z.
     pub size: [usize; 3],
-    /// World length between values.
+    /// World length between values; the mean where they are uneven.
     pub spacing: [f64; 3],
     /// World position of value (0, 0, 0).
     pub origin: [f64; 3],
@@ -119,6 +141,9 @@ pub struct GridInfo {
     pub units: String,
     /// `node` or `cell`.
     pub centering: String,
+    /// Axes that are uneven or run backwards.
+    #[serde(skip)]
+    pub(crate) stretch: Option<Arc<stretch::Stretch>>,
 }
 
 impl From<&GridInfo> for Grid {
@@ -141,8 +166,34 @@ pub trait Series: Send + Sync {
     /// What was found.
     fn info(&self) -> &SeriesInfo;
 
-    /// Opens the `index`-th step of `info().steps`.
+    /// Opens the `index`-th step of `info().steps`, on a uniform grid.
     fn timestep(&self, index: usize) -> Result<Timestep>;
+
+    /// Opens the same step as the file has it.
+    fn native(&self, index: usize) -> Result<Native> {
+        Ok(Native::from(self.timestep(index)?))
+    }
+
+    /// The uniform grid of the steps.
+    fn grid(&self) -> Grid {
+        self.info().resampled.unwrap_or_else(|| Grid::from(&self.info().grid))
+    }
+}
+
+/// A step before anything is resampled.
+pub struct Native {
+    /// The step on `info().grid`: uneven axes keep their own indices, a mesh is brought to the level that `info().level`
+    /// tells.
+    pub step: Timestep,
+    /// The file's own cells: pieces that share none.
+    pub pieces: Vec<Piece>,
+}
+
+impl From<Timestep> for Native {
+    fn from(step: Timestep) -> Native {
+        let piece = Piece { size: step.grid.size, field: step.field.clone(), covered: Vec::new() };
+        Native { step, pieces: vec![piece] }
+    }
 }
 
 /// Opens a series: finds the files, detects the layout, checks that the steps agree.
@@ -161,18 +212,23 @@ pub fn open(spec: &SourceSpec) -> Result<Box<dyn Series>> {
 
 /// Asks the layout that the files have for a plan.
 fn plan(files: &expand::Files, spec: &SourceSpec) -> Result<series::Plan> {
-    match detect(files)? {
-        FileKind::Hdf5 => h5::plan(files, spec),
-        FileKind::Nrrd => headed::plan(files, spec, "NRRD", nrrd::read),
-        FileKind::MetaImage => headed::plan(files, spec, "MetaImage", mhd::read),
-        FileKind::Vtk => headed::plan(files, spec, "VTK legacy", vtk::read),
-        FileKind::Vti => headed::plan(files, spec, "VTK XML ImageData", vti::read),
+    let (found, mark) = match detect(files)? {
+        FileKind::Hdf5 => return h5::plan(files, spec),
+        FileKind::Nrrd => (headed::plan(files, spec, "NRRD", nrrd::read), "the file begins with NRRD000"),
+        FileKind::MetaImage => (headed::plan(files, spec, "MetaImage", mhd::read), "keys NDims, DimSize, ElementType"),
+        FileKind::Vtk => (headed::plan(files, spec, "VTK legacy", vtk::read), "the file begins with # vtk DataFile"),
+        FileKind::Vti => (headed::plan(files, spec, "VTK XML", vti::read), "element <VTKFile"),
         FileKind::Pvd => {
             let listed = vti::collection(&files.entries[0].path)?;
-            plan(&expand::Files { dataset: files.dataset.clone(), ..listed }, spec)
+            (plan(&expand::Files { dataset: files.dataset.clone(), ..listed }, spec), "element <Collection")
         }
-        FileKind::Xdmf => xdmf::plan(files, spec),
-    }
+        FileKind::Xdmf => (xdmf::plan(files, spec), "element <Xdmf"),
+        FileKind::Enzo => (enzo::plan(files, spec), "parameters InitialTime and TopGridDimensions, or a .hierarchy"),
+    };
+    found.map(|mut plan| {
+        plan.info.why.push(mark.into());
+        plan
+    })
 }
 
 /// Kinds of file, by their first bytes.
@@ -184,6 +240,7 @@ enum FileKind {
     Vti,
     Pvd,
     Xdmf,
+    Enzo,
 }
 
 /// The kind of the first file that has one.
@@ -227,6 +284,8 @@ fn kind_of(path: &Path) -> Result<FileKind> {
         _ if has("<VTKFile") && has("Collection") => return Ok(FileKind::Pvd),
         _ if has("<VTKFile") => return Ok(FileKind::Vti),
         _ if has("<Xdmf") => return Ok(FileKind::Xdmf),
+        _ if has("TopGridDimensions") || has("InitialCycleNumber") && has("InitialTime") => return Ok(FileKind::Enzo),
+        _ if has("GridRank") && has("GridStartIndex") => return Ok(FileKind::Enzo),
         _ => {}
     }
     if start.starts_with(b"CDF") {

@@ -145,5 +145,5 @@ fn grid<'a>(get: &impl Fn(&str) -> Option<&'a str>, first: usize, size: [usize; 
     let units = get("spaceunits").and_then(|u| u.split('"').nth(1)).unwrap_or_default().to_owned();
     let cell = get("centerings").or(get("centers")).is_some_and(|c| c.contains("cell"));
     let centering = if cell { "cell" } else { "node" }.into();
-    GridInfo { size, spacing: triple(spacing, 1.0), origin: triple(origin, 0.0), units, centering }
+    GridInfo { size, spacing: triple(spacing, 1.0), origin: triple(origin, 0.0), units, centering, stretch: None }
 }

@@ -1,7 +1,9 @@
 //! A series as its layout found it, checked as a whole and opened step by step.
 
+use std::sync::Arc;
+
 use super::values::Values;
-use super::{GridInfo, Series, SeriesInfo, SourceSpec, StepInfo, h5, shape_text};
+use super::{GridInfo, Native, Series, SeriesInfo, SourceSpec, StepInfo, h5, shape_text};
 use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::Grid;
@@ -31,7 +33,7 @@ pub(crate) struct Planned {
     /// Spacing and origin from the settings, which hold for every step.
     spacing: Option<[f64; 3]>,
     origin: Option<[f64; 3]>,
-    opened: h5::Opened,
+    opened: Arc<h5::Opened>,
 }
 
 impl Planned {
@@ -65,19 +67,34 @@ impl Planned {
         check_numbers(&mut steps, &mut info.warnings);
         check_times(&mut steps, &mut info.warnings);
         repair_spacing(&mut info.grid, &mut info.warnings);
+        let plan_origin = info.grid.origin;
+        if let (Some(set), Some(stretch)) = (spec.spacing, &info.grid.stretch) {
+            // The mean of an uneven axis is set; how its values lie to one another stays.
+            let factors = std::array::from_fn(|a| set[a] / info.grid.spacing[a]);
+            info.grid.stretch = Some(Arc::new(stretch.scaled(factors)));
+        }
         info.grid.spacing = spec.spacing.unwrap_or(info.grid.spacing);
         info.grid.origin = spec.origin.unwrap_or(info.grid.origin);
+        if spec.level.is_some() && info.level.is_none() {
+            return Err(Error::format(
+                name,
+                "--level: this series has no levels of refinement",
+                "the same without --level",
+            ));
+        }
+        info.resampled = info.grid.stretch.as_ref().map(|stretch| {
+            let own = Grid { origin: plan_origin, ..Grid::from(&info.grid) };
+            let mut even = stretch.grid(&own);
+            // The first value was moved by --origin, and everything else with it.
+            (0..3).for_each(|a| even.origin[a] += info.grid.origin[a] - plan_origin[a]);
+            even
+        });
         info.steps = steps.iter().map(|s| StepInfo { step: s.step, time: s.time }).collect();
-        Ok(Planned { info, steps, spacing: spec.spacing, origin: spec.origin, opened: h5::Opened::default() })
-    }
-}
-
-impl Series for Planned {
-    fn info(&self) -> &SeriesInfo {
-        &self.info
+        Ok(Planned { info, steps, spacing: spec.spacing, origin: spec.origin, opened: Arc::default() })
     }
 
-    fn timestep(&self, index: usize) -> Result<Timestep> {
+    /// The step on the file's own grid.
+    fn own(&self, index: usize) -> Result<Timestep> {
         let Some(step) = self.steps.get(index) else {
             let found = format!("step index {index} is past the last of {} steps", self.steps.len());
             return Err(Error::format(super::first_name(&self.info.series), found, "gloaming info lists the steps"));
@@ -103,6 +120,26 @@ impl Series for Planned {
             other => other,
         })?;
         Ok(Timestep { step: step.step, time: step.time, grid, field })
+    }
+}
+
+impl Series for Planned {
+    fn info(&self) -> &SeriesInfo {
+        &self.info
+    }
+
+    fn timestep(&self, index: usize) -> Result<Timestep> {
+        let own = self.own(index)?;
+        let (Some(stretch), Some(even)) = (&self.info.grid.stretch, self.info.resampled) else { return Ok(own) };
+        Ok(Timestep { grid: even, field: Arc::new(stretch.field(own.field)), ..own })
+    }
+
+    fn native(&self, index: usize) -> Result<Native> {
+        let own = self.own(index)?;
+        match &self.steps[index].values {
+            Values::Mesh(mesh) => mesh.native(own, &self.opened),
+            _ => Ok(Native::from(own)),
+        }
     }
 }
 
@@ -171,9 +208,9 @@ fn check_times(steps: &mut [Step], warnings: &mut Vec<String>) {
             warnings.push(format!("time {how} at step {}", list(&at)));
         }
     }
-    let untimed = steps.iter().filter(|s| s.time.is_none()).count();
-    if untimed > 0 && untimed < steps.len() && odd.is_empty() {
-        warnings.push(format!("{untimed} of {} steps have no time", steps.len()));
+    let untimed: Vec<u64> = steps.iter().filter(|s| s.time.is_none()).map(|s| s.step).collect();
+    if !untimed.is_empty() && untimed.len() < steps.len() && odd.is_empty() {
+        warnings.push(format!("time is missing at step {}; --time-step DT sets times", list(&untimed)));
     }
 }
 

@@ -1,4 +1,4 @@
-//! VTK XML ImageData (`.vti`): appended or inline values, raw, base64 or text, plain or zlib; and `.pvd` collections.
+//! VTK XML ImageData (`.vti`) and RectilinearGrid (`.vtr`): appended or inline values, raw, base64 or text, plain or zlib; and `.pvd` collections.
 
 use std::io::Read;
 use std::ops::Range;
@@ -9,6 +9,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
 use super::axes::Axes;
+use super::coords::{self, Along};
 use super::expand::{Entry, Files};
 use super::headed::{Header, beside, expected, text_numbers};
 use super::raw::{Bytes, Dtype, Kind, RawSpec, values};
@@ -62,9 +63,10 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
     let (text, appended) = split(path)?;
     let root = Element::parse(&text).map_err(|why| fail(format!("not XML: {why}"), ""))?;
     let kind = root.attribute("type").unwrap_or_default().to_owned();
-    let Some(image) = root.child("ImageData").filter(|_| kind == "ImageData") else {
+    let rectilinear = kind == "RectilinearGrid";
+    let Some(image) = root.child(&kind).filter(|_| rectilinear || kind == "ImageData") else {
         return Err(fail(
-            format!("VTK XML of type `{kind}`; ImageData is read"),
+            format!("VTK XML of type `{kind}`; ImageData and RectilinearGrid are read"),
             "ParaView's filter Resample To Image",
         ));
     };
@@ -92,6 +94,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
     let (spacing, origin) = (triple("Spacing", 1.0), triple("Origin", 0.0));
     let base = appended.as_ref().map(|(at, _)| *at);
     let time = [&root, image].into_iter().find_map(|e| time_value(e, &storage, base));
+    let lines = if rectilinear { Some(coordinates(piece, &storage, base)?) } else { None };
     let mut headers: Vec<Header> = Vec::new();
     for (place, cells) in [("PointData", false), ("CellData", true)] {
         for array in piece.child(place).iter().flat_map(|p| p.all("DataArray")) {
@@ -99,18 +102,22 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
                 ((extent[2 * a + 1] - extent[2 * a]).max(0.0) as usize).saturating_add(usize::from(!cells))
             });
             let half = if cells { 0.5 } else { 0.0 };
-            let grid = GridInfo {
+            let mut warnings = Vec::new();
+            let mut grid = GridInfo {
                 size: values,
                 spacing,
                 origin: std::array::from_fn(|a| origin[a] + (extent[2 * a] + half) * spacing[a]),
-                units: String::new(),
                 centering: if cells { "cell" } else { "node" }.into(),
+                ..GridInfo::default()
             };
+            if let Some(lines) = &lines {
+                place_points(&mut grid, lines, cells, path, &mut warnings)?;
+            }
             let name = array.attribute("Name").unwrap_or("values").to_owned();
             let taken = headers.iter().any(|h| h.field == name);
             let field = if taken { format!("{place}/{name}") } else { name };
             if let Some((raw, bytes)) = numbers_of(array, values, &storage, base)? {
-                headers.push(Header { field, raw, bytes, grid, time, warnings: Vec::new() });
+                headers.push(Header { field, raw, bytes, grid, time, warnings });
             }
         }
     }
@@ -141,14 +148,53 @@ fn split(path: &Path) -> Result<(String, Option<(u64, bool)>)> {
     }
 }
 
+/// Positions of the points of a rectilinear grid along x, y, z.
+fn coordinates(piece: &Element, storage: &Storage, appended: Option<u64>) -> Result<[Vec<f64>; 3]> {
+    let fail = |found: &str| Error::format(&storage.path, found, "the complete file");
+    let arrays: Vec<&Element> = piece.child("Coordinates").map(|c| c.all("DataArray").collect()).unwrap_or_default();
+    let [x, y, z] = arrays.as_slice() else { return Err(fail("a rectilinear grid without three Coordinates")) };
+    let extent = piece.numbers("Extent").filter(|e| e.len() == 6).ok_or_else(|| fail("a piece without an extent"))?;
+    let read = |array: &Element, a: usize| -> Result<Vec<f64>> {
+        let count = (extent[2 * a + 1] - extent[2 * a]).clamp(0.0, 1e7) as usize + 1;
+        let found = numbers_of(array, [count, 1, 1], storage, appended)?.ok_or_else(|| fail("Coordinates of text"))?;
+        read_all(&found.0, found.1, count)
+    };
+    Ok([read(x, 0)?, read(y, 1)?, read(z, 2)?])
+}
+
+/// All of an array of one axis.
+fn read_all(raw: &RawSpec, bytes: Bytes, count: usize) -> Result<Vec<f64>> {
+    let field = values(raw, bytes, 0, 1, &SourceSpec::default())?.open([count, 1, 1], &Default::default())?;
+    // Opening has checked that the file holds as many.
+    let mut read = vec![0.0; count];
+    field.read_f64(Region { start: [0; 3], size: [count, 1, 1] }, &mut read)?;
+    Ok(read)
+}
+
+/// Puts the values of points, or of the cells between them, where the points of a rectilinear grid are.
+pub(crate) fn place_points(
+    grid: &mut GridInfo,
+    points: &[Vec<f64>; 3],
+    cells: bool,
+    path: &Path,
+    warnings: &mut Vec<String>,
+) -> Result<()> {
+    let along = points.each_ref().map(|p| if cells { Along::cells(p) } else { Along::points(p) });
+    let fits = (0..3).all(|a| along[a].centres.len() == grid.size[a]);
+    if fits && coords::place(grid, along, warnings) {
+        return Ok(());
+    }
+    let lengths = points.each_ref().map(Vec::len);
+    let found =
+        format!("coordinates of {lengths:?} points do not rise or fall, or do not fit values of {:?}", grid.size);
+    Err(Error::format(path, found, "--spacing DX,DY,DZ for an even grid"))
+}
+
 /// ParaView's `TimeValue` among the field data.
 fn time_value(element: &Element, storage: &Storage, appended: Option<u64>) -> Option<f64> {
     let time = element.child("FieldData")?.all("DataArray").find(|a| a.attribute("Name") == Some("TimeValue"))?;
     let (raw, bytes) = numbers_of(time, [1; 3], storage, appended).ok()??;
-    let value = values(&raw, bytes, 0, 1, &SourceSpec::default()).ok()?.open([1; 3], &Default::default()).ok()?;
-    let mut read = [0.0];
-    value.read_f64(Region { start: [0; 3], size: [1; 3] }, &mut read).ok()?;
-    Some(read[0])
+    read_all(&raw, bytes, 1).ok()?.first().copied()
 }
 
 fn numbers_of(

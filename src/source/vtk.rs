@@ -1,4 +1,5 @@
-//! Legacy VTK files of STRUCTURED_POINTS: a text header, then big-endian or text values of points or cells.
+//! Legacy VTK files of STRUCTURED_POINTS and RECTILINEAR_GRID: a text header, then big-endian or text values of points or
+//! cells.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -8,6 +9,7 @@ use super::GridInfo;
 use super::axes::Axes;
 use super::headed::{Header, text_numbers};
 use super::raw::{Bytes, Dtype, Kind, RawSpec};
+use super::vti::place_points;
 use crate::error::{Error, Result};
 
 /// Reads the headers of a file's arrays.
@@ -20,12 +22,17 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
     let fail = |found: String, remedy: &str| Error::format(path, found, remedy);
     let (_, _, coding, dataset) = (lines.next()?, lines.next()?, lines.next()?, lines.next()?);
     let ascii = coding.as_deref() == Some("ASCII");
-    if dataset.as_deref() != Some("DATASET STRUCTURED_POINTS") {
-        let found = format!("legacy VTK with `{}`; DATASET STRUCTURED_POINTS is read", dataset.unwrap_or_default());
+    let rectilinear = dataset.as_deref() == Some("DATASET RECTILINEAR_GRID");
+    if !rectilinear && dataset.as_deref() != Some("DATASET STRUCTURED_POINTS") {
+        let found = format!(
+            "legacy VTK with `{}`; DATASET STRUCTURED_POINTS and RECTILINEAR_GRID are read",
+            dataset.unwrap_or_default()
+        );
         return Err(fail(found, "ParaView's filter Resample To Image"));
     }
     let (mut points, mut spacing, mut origin) = ([1usize; 3], [1.0; 3], [0.0; 3]);
     let (mut cells, mut time, mut headers) = (false, None, Vec::new());
+    let mut along: [Vec<f64>; 3] = Default::default();
     while let Some(line) = lines.next()? {
         let words: Vec<&str> = line.split_whitespace().collect();
         let three = || -> Option<[f64; 3]> {
@@ -45,6 +52,13 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
             }
             "ORIGIN" => {
                 origin = three().unwrap_or(origin);
+                continue;
+            }
+            "X_COORDINATES" | "Y_COORDINATES" | "Z_COORDINATES" => {
+                let a = usize::from(words[0].as_bytes()[0] - b'X');
+                let kind = words.get(2).and_then(|w| element(w)).zip(count(1));
+                let (kind, count) = kind.ok_or_else(|| fail(format!("`{line}` is not understood"), ""))?;
+                along[a] = lines.list(Dtype { kind, big_endian: true }, count, ascii)?;
                 continue;
             }
             "POINT_DATA" | "CELL_DATA" => {
@@ -100,14 +114,18 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
             }
         };
         let half = if cells { 0.5 } else { 0.0 };
-        let grid = GridInfo {
+        let mut grid = GridInfo {
             size,
             spacing,
             origin: std::array::from_fn(|a| origin[a] + half * spacing[a]),
-            units: String::new(),
             centering: if cells { "cell" } else { "node" }.into(),
+            ..GridInfo::default()
         };
-        headers.push(Header { field: name, raw, bytes, grid, time, warnings: Vec::new() });
+        let mut warnings = Vec::new();
+        if rectilinear {
+            place_points(&mut grid, &along, cells, path, &mut warnings)?;
+        }
+        headers.push(Header { field: name, raw, bytes, grid, time, warnings });
     }
     headers.iter_mut().for_each(|h| h.time = time);
     if headers.is_empty() { Err(fail("no arrays of numbers in this file".into(), "")) } else { Ok(headers) }
@@ -157,6 +175,27 @@ impl Lines<'_> {
             text.push('\n');
         }
         Ok(text)
+    }
+
+    /// `count` numbers.
+    fn list(&mut self, dtype: Dtype, count: usize, ascii: bool) -> Result<Vec<f64>> {
+        let path = self.path;
+        let short = || Error::format(path, format!("ends before {count} coordinates"), "the complete file");
+        if ascii {
+            let text = self.numbers(count)?;
+            let read: Option<Vec<f64>> = text.split_whitespace().take(count).map(|w| w.parse().ok()).collect();
+            return read.filter(|v| v.len() == count).ok_or_else(short);
+        }
+        let bytes = (count as u64).checked_mul(dtype.bytes() as u64).ok_or_else(short)?;
+        let mut held = Vec::new();
+        (&mut self.reader).take(bytes).read_to_end(&mut held).map_err(|e| Error::io(self.path, e))?;
+        if held.len() as u64 != bytes {
+            return Err(short());
+        }
+        self.at += bytes;
+        let mut values = vec![0.0; count];
+        dtype.decode(&held, 0, dtype.bytes() as isize, &mut values, |v| v);
+        Ok(values)
     }
 
     /// One number as it is stored.

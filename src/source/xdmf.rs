@@ -1,6 +1,6 @@
-//! XDMF: XML that says which parts of HDF5 or raw files make a uniform grid, one grid a step.
+//! XDMF: XML that says which parts of HDF5 or raw files make a uniform or rectilinear grid, one grid a step.
 //!
-//! `ORIGIN_DXDYDZ` is in Z, Y, X order, as are all dimensions: slowest axis first.
+//! `ORIGIN_DXDYDZ` is in Z, Y, X order, as are all dimensions: slowest axis first. `VXVYVZ` has the points along x, y and z.
 
 use std::path::{Path, PathBuf};
 
@@ -10,6 +10,7 @@ use super::headed::beside;
 use super::raw::{Bytes, Dtype, Kind};
 use super::series::{Plan, Step};
 use super::values::Values;
+use super::vti::place_points;
 use super::xml::{Element, numbers};
 use super::{Candidate, GridInfo, SeriesInfo, SourceSpec, h5, raw, shape_text};
 use crate::error::{Error, Result};
@@ -22,6 +23,7 @@ struct Array {
     shape: Vec<usize>,
     /// Names of the files that were referred to, for errors.
     item: Item,
+    warnings: Vec<String>,
 }
 
 /// A stored array, or part of one.
@@ -60,9 +62,8 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
                 field: array.name.clone(),
                 candidates,
                 grid: array.grid.clone(),
-                steps: Vec::new(),
-                range: None,
-                warnings: Vec::new(),
+                warnings: array.warnings.clone(),
+                ..SeriesInfo::default()
             });
         }
     }
@@ -111,17 +112,28 @@ fn arrays(grid: &Element, path: &Path) -> Result<Vec<Array>> {
     let fail = |found: String, remedy: &str| Error::format(path, found, remedy);
     let topology = grid.child("Topology").ok_or_else(|| fail("a grid without Topology".into(), ""))?;
     let kind = topology.attribute("TopologyType").or(topology.attribute("Type")).unwrap_or_default();
-    if !kind.eq_ignore_ascii_case("3DCoRectMesh") {
-        return Err(fail(format!("a grid of topology `{kind}`; 3DCoRectMesh is read"), "a uniform grid"));
+    let uneven = kind.eq_ignore_ascii_case("3DRectMesh");
+    if !uneven && !kind.eq_ignore_ascii_case("3DCoRectMesh") {
+        let found = format!("a grid of topology `{kind}`; 3DCoRectMesh and 3DRectMesh are read");
+        return Err(fail(found, "a uniform or rectilinear grid"));
     }
     let lengths = topology.attribute("Dimensions").or(topology.attribute("NumberOfElements")).and_then(lengths);
     let nodes = lengths.filter(|n| n.len() == 3).ok_or_else(|| fail("Topology without three Dimensions".into(), ""))?;
     let geometry = grid.child("Geometry").ok_or_else(|| fail("a grid without Geometry".into(), ""))?;
     let kind = geometry.attribute("GeometryType").or(geometry.attribute("Type")).unwrap_or_default();
-    let triples: Vec<Vec<f64>> = geometry.all("DataItem").filter_map(|d| numbers(&d.text)).collect();
-    let (origin, spacing) = match (kind.to_ascii_uppercase().as_str(), triples.as_slice()) {
-        ("ORIGIN_DXDYDZ", [o, d]) if o.len() == 3 && d.len() == 3 => ([o[2], o[1], o[0]], [d[2], d[1], d[0]]),
-        _ => return Err(fail(format!("Geometry `{kind}`; ORIGIN_DXDYDZ with its two triples in the XML is read"), "")),
+    let items: Vec<&Element> = geometry.all("DataItem").collect();
+    let (origin, spacing, points) = match (kind.to_ascii_uppercase().as_str(), items.as_slice()) {
+        ("ORIGIN_DXDYDZ", [o, d]) if !uneven => {
+            let triple = |e: &Element| numbers(&e.text).and_then(|v| <[f64; 3]>::try_from(v).ok());
+            let wrong = || fail("ORIGIN_DXDYDZ without two triples of numbers in the XML".into(), "");
+            let ([oz, oy, ox], [dz, dy, dx]) = triple(o).zip(triple(d)).ok_or_else(wrong)?;
+            ([ox, oy, oz], [dx, dy, dz], None)
+        }
+        ("VXVYVZ", [x, y, z]) if uneven => ([0.0; 3], [1.0; 3], Some([line(x, path)?, line(y, path)?, line(z, path)?])),
+        _ => {
+            let found = format!("Geometry `{kind}`; ORIGIN_DXDYDZ, or VXVYVZ on a 3DRectMesh, is read");
+            return Err(fail(found, ""));
+        }
     };
     let mut arrays = Vec::new();
     for attribute in grid.all("Attribute") {
@@ -140,16 +152,32 @@ fn arrays(grid: &Element, path: &Path) -> Result<Vec<Array>> {
             return Err(fail(found, "Dimensions in its DataItem"));
         }
         let half = if cells { 0.5 } else { 0.0 };
-        let grid = GridInfo {
+        let mut grid = GridInfo {
             size: [wanted[2], wanted[1], wanted[0]],
             spacing,
             origin: std::array::from_fn(|a| origin[a] + half * spacing[a]),
-            units: String::new(),
             centering: if cells { "cell" } else { "node" }.into(),
+            ..GridInfo::default()
         };
-        arrays.push(Array { name, grid, shape, item });
+        let mut warnings = Vec::new();
+        if let Some(points) = &points {
+            place_points(&mut grid, points, cells, path, &mut warnings)?;
+        }
+        arrays.push(Array { name, grid, shape, item, warnings });
     }
     Ok(arrays)
+}
+
+/// The points along an axis: in the XML, or a dataset of one axis.
+fn line(element: &Element, path: &Path) -> Result<Vec<f64>> {
+    let fail = |found: String| Error::format(path, found, "coordinates in the XML, or in HDF5");
+    if element.attribute("Format").is_none_or(|f| f.eq_ignore_ascii_case("XML")) {
+        return numbers(&element.text).ok_or_else(|| fail("coordinates that are not numbers".into()));
+    }
+    let Item { file, dataset, .. } = Item::read(element, path)?;
+    let dataset = dataset.ok_or_else(|| fail("coordinates in a raw file".into()))?;
+    let stored = h5::open_dataset(&h5::open_file(&file, 0)?, &file, &dataset)?;
+    h5::numbers_in(&stored).ok_or_else(|| fail(format!("{}:{dataset} does not hold coordinates", file.display())))
 }
 
 fn lengths(text: &str) -> Option<Vec<usize>> {

@@ -42,7 +42,7 @@ fn agrees(name: &str, series: &dyn Series) {
     let known = &known[name];
     assert_eq!(series.info().steps.len(), known.len(), "{name}");
     for (index, line) in known.iter().enumerate() {
-        let step = series.timestep(index).unwrap();
+        let step = series.native(index).unwrap().step;
         assert_eq!((step.step, step.grid.size), (line.step, line.size), "{name}");
         match (step.time, line.time) {
             (Some(is), Some(was)) => assert!((is - was).abs() <= 1e-6 * was.abs(), "{name}: time {is}, not {was}"),

@@ -5,7 +5,11 @@ mod headed;
 mod known;
 mod layouts;
 mod malformed;
+mod metadata;
+mod originals;
 mod raw;
+mod refined;
+mod uneven;
 
 use std::path::{Path, PathBuf};
 
@@ -77,6 +81,14 @@ fn create(folder: &tempfile::TempDir, name: &str) -> (PathBuf, File) {
 /// All values of a step, in f64.
 fn all(series: &dyn Series, index: usize) -> Vec<f64> {
     let step = series.timestep(index).unwrap();
+    let mut values = vec![0.0; step.grid.len()];
+    step.field.read_f64(step.grid.region(), &mut values).unwrap();
+    values
+}
+
+/// The same on the file's own grid, before uneven axes are resampled.
+fn own(series: &dyn Series, index: usize) -> Vec<f64> {
+    let step = series.native(index).unwrap().step;
     let mut values = vec![0.0; step.grid.len()];
     step.field.read_f64(step.grid.region(), &mut values).unwrap();
     values

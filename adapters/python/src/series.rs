@@ -27,9 +27,10 @@ impl Series {
         axes: Option<String>,
         place: (Option<[f64; 3]>, Option<[f64; 3]>, Option<f64>),
         raw: Option<String>,
+        level: Option<usize>,
     ) -> PyResult<Series> {
         let (spacing, origin, time_step) = place;
-        let spec = SourceSpec { series, field, component, axes, spacing, origin, time_step, raw };
+        let spec = SourceSpec { series, field, component, axes, spacing, origin, time_step, raw, level };
         Ok(Series { series: patiently(py, move || source::open(&spec))?.into() })
     }
 

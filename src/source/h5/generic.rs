@@ -12,10 +12,11 @@ use super::tree::{Found, Tree, type_name, walk};
 use crate::error::{Error, Result};
 use crate::source::axes::{Axes, Evidence, place};
 use crate::source::choose::{choose, component};
+use crate::source::coords::{self, Along};
 use crate::source::expand::Entry;
 use crate::source::series::{Plan, Step};
 use crate::source::values::Values;
-use crate::source::{Candidate, GridInfo, SeriesInfo};
+use crate::source::{Candidate, GridInfo, SeriesInfo, shape_text};
 
 /// Names under which a file tells time, in the order in which they are believed.
 const TIMES: [&str; 10] =
@@ -43,7 +44,7 @@ pub(crate) fn plan(input: Input, convention: &Convention) -> Result<Plan> {
         time_lengths: &time_lengths,
         many,
     };
-    let axes = place(&evidence, &mut warnings)?;
+    let (axes, reason) = place(&evidence, &mut warnings)?;
     let grid = grid(&file, &found, &axes, convention, &mut warnings);
     let parts = component(&name, axes.component.map(|c| found.shape[c]), spec.component.as_deref())?;
     let layout = match (axes.time.is_some(), found.members.len() > 1, files.entries.len() > 1) {
@@ -61,6 +62,9 @@ pub(crate) fn plan(input: Input, convention: &Convention) -> Result<Plan> {
         let unpack = |v: f64| if from.contains("valid") { v * packing.scale + packing.offset } else { v };
         ([unpack(lo), unpack(hi)], from)
     });
+    if let Some(told) = number(&file, "NumSteps").filter(|n| *n as usize != found.members.len()) {
+        warnings.push(format!("NumSteps says {told} steps, but there are {}", found.members.len()));
+    }
     warnings.extend(missing_sources(&file, &found.members[0].1, &first_entry.path));
     let mut steps = Vec::new();
     for entry in &files.entries {
@@ -74,13 +78,17 @@ pub(crate) fn plan(input: Input, convention: &Convention) -> Result<Plan> {
         series: files.entries.iter().map(|e| e.path.clone()).collect(),
         field: found.name.clone(),
         candidates: tree.volumes.iter().map(candidate).collect(),
+        why: vec![format!("axes {} of {}: {reason}", axes.spelled(), shape_text(&found.shape))],
+        others: tree.others.clone(),
+        units: first_text(&places[..1], &["units", "Units", "unit"]).unwrap_or_default(),
+        time_units: time_units(&file, &found.members[0].1),
         grid,
-        steps: Vec::new(),
         range,
         warnings: warnings
             .into_iter()
             .chain(tree.dangling.iter().map(|d| format!("{d}: the link leads nowhere")))
             .collect(),
+        ..SeriesInfo::default()
     };
     Ok(Plan { info, steps, start: 0.0 })
 }
@@ -246,68 +254,88 @@ fn time_lists(file: &File, dataset: &str) -> Vec<Vec<f64>> {
     lists
 }
 
+/// Units of the list of times beside a dataset.
+fn time_units(file: &File, dataset: &str) -> String {
+    let mut path = dataset;
+    while let Some((group, _)) = path.rsplit_once('/') {
+        let units = |name: &&str| super::attributes::text(&*file.dataset(&format!("{group}/{name}")).ok()?, "units");
+        if let Some(units) = TIMES.iter().find_map(units) {
+            return units;
+        }
+        path = group;
+    }
+    first_text(&outwards(file, dataset), &["time_units", "time_unit"]).unwrap_or_default()
+}
+
 /// Size from the shape; spacing and origin from attributes in x, y, z order, or from 1-D arrays x, y, z.
 fn grid(file: &File, found: &Found, axes: &Axes, convention: &Convention, warnings: &mut Vec<String>) -> GridInfo {
     let places = outwards(file, &found.members[0].1);
     let size = if axes.rank() == found.shape.len() { axes.size(&found.shape) } else { [0; 3] };
-    if let Some(told) = (convention.grid)(file, &found.members[0].1, axes, size) {
+    if let Some(told) = (convention.grid)(file, &found.members[0].1, axes, size, warnings) {
         return told;
     }
     let each = |names: [&str; 3]| -> Option<Vec<f64>> {
         names.iter().map(|n| first(&places, &[n], 1).map(|v| v[0])).collect()
     };
-    let coordinates = coordinates(file, &found.members[0].1, size, warnings);
+    let mut grid = GridInfo {
+        size,
+        spacing: [1.0; 3],
+        units: first_text(&places, &["spacing_units", "length_units", "length_unit", "grid_units"]).unwrap_or_default(),
+        centering: first_text(&places, &["centering", "center"]).unwrap_or_else(|| "node".into()).to_lowercase(),
+        ..GridInfo::default()
+    };
     let spacing =
         first(&places, &["spacing", "Spacing", "grid_spacing", "gridSpacing", "voxel_size", "cell_size", "dx"], 3)
             .or_else(|| first(&places, &["element_size_um"], 3).map(|zyx| vec![zyx[2], zyx[1], zyx[0]]))
             .or_else(|| each(["dx", "dy", "dz"]))
             .or_else(|| {
                 first(&places, &["spacing", "Spacing", "voxel_size", "cell_size", "dx", "h"], 1).map(|h| vec![h[0]; 3])
-            })
-            .or_else(|| coordinates.map(|(spacing, _)| spacing.to_vec()));
+            });
     let origin = first(&places, &["origin", "Origin", "ORIGIN", "grid_origin", "offset"], 3)
         .or_else(|| each(["x0", "y0", "z0"]))
-        .or_else(|| each(["xmin", "ymin", "zmin"]))
-        .or_else(|| coordinates.map(|(_, origin)| origin.to_vec()));
+        .or_else(|| each(["xmin", "ymin", "zmin"]));
+    let coordinates = spacing.is_none() && coordinates(file, &found.members[0].1, &mut grid, warnings);
     if let Some(d) = &spacing
         && (d[0] != d[1] || d[1] != d[2])
-        && coordinates.is_none()
     {
         warnings.push(format!(
             "spacing {} {} {} is taken in x, y, z order; --spacing DX,DY,DZ overrides",
             d[0], d[1], d[2]
         ));
     }
-    let triple = |v: Option<Vec<f64>>, default: f64| v.map_or([default; 3], |v| [v[0], v[1], v[2]]);
-    GridInfo {
-        size,
-        spacing: triple(spacing, 1.0),
-        origin: triple(origin, 0.0),
-        units: first_text(&places, &["spacing_units", "length_units", "length_unit", "grid_units"]).unwrap_or_default(),
-        centering: first_text(&places, &["centering", "center"]).unwrap_or_else(|| "node".into()).to_lowercase(),
-    }
+    let set = |v: Option<Vec<f64>>, to: &mut [f64; 3]| {
+        if let Some(v) = v {
+            *to = [v[0], v[1], v[2]];
+        }
+    };
+    set(spacing, &mut grid.spacing);
+    set(origin.filter(|_| !coordinates), &mut grid.origin);
+    grid
 }
 
-/// Spacing and origin from 1-D arrays `x`, `y`, `z` (`xcoor`, …) beside the dataset, as long as its axes.
-fn coordinates(
-    file: &File,
-    dataset: &str,
-    size: [usize; 3],
-    warnings: &mut Vec<String>,
-) -> Option<([f64; 3], [f64; 3])> {
+/// Takes positions from 1-D arrays `x`, `y`, `z` (`xcoor`, …) beside the dataset, as long as its axes, or longer by one: faces
+/// of cells.
+fn coordinates(file: &File, dataset: &str, grid: &mut GridInfo, warnings: &mut Vec<String>) -> bool {
     let mut path = dataset;
     while let Some((group, _)) = path.rsplit_once('/') {
-        let along = |a: usize| -> Option<Vec<f64>> {
+        let along = |a: usize| -> Option<Along> {
             let named = |tail: &str| file.dataset(&format!("{group}/{}{tail}", ["x", "y", "z"][a]));
             let array = named("").or_else(|_| named("coor")).ok()?;
-            (array.shape() == [size[a]]).then(|| numbers_in(&array)).flatten()
+            match array.shape().as_slice() {
+                [n] if *n == grid.size[a] => numbers_in(&array).map(|v| Along::points(&v)),
+                [n] if *n == grid.size[a] + 1 => numbers_in(&array).map(|v| Along::cells(&v)),
+                _ => None,
+            }
         };
         if let (Some(x), Some(y), Some(z)) = (along(0), along(1), along(2)) {
-            return crate::source::coords::uniform([&x, &y, &z], warnings);
+            if x.faces.is_some() {
+                grid.centering = "cell".into();
+            }
+            return coords::place(grid, [x, y, z], warnings);
         }
         path = group;
     }
-    None
+    false
 }
 
 /// Packing and fill values as CF spells them, which others do as well.

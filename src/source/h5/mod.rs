@@ -5,8 +5,12 @@
 
 mod athena;
 mod attributes;
+mod blocks;
+mod chombo;
 mod conventions;
 mod flash;
+mod flat;
+mod gdf;
 mod generic;
 mod netcdf;
 mod openpmd;
@@ -23,7 +27,10 @@ use super::series::Plan;
 use super::{SourceSpec, file_problem};
 use crate::error::{Error, Result};
 
+pub(crate) use attributes::numbers_in;
+pub(crate) use flat::Flat;
 pub(crate) use slab::{Opened, Packing, Slab};
+pub(crate) use tree::type_name;
 
 /// What a layout starts from: the files, and the first of them that opens.
 pub(crate) struct Input<'a> {
@@ -78,50 +85,73 @@ fn reopen(entry: &Entry, first: &Entry, file: &File, warnings: &mut Vec<String>)
 /// does not list is read as it stands.
 pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
     let input = Input::new(files, spec)?;
-    let layout = match layout(&input.file) {
+    let (layout, mark) = layout(&input.file);
+    let found = match layout {
         Layout::Generic => {
-            let convention = conventions::of(&input.file, input.entry)?.unwrap_or(&conventions::NONE);
-            return generic::plan(input, convention);
+            let (convention, mark) = conventions::of(&input.file, input.entry)?;
+            return marked(generic::plan(input, convention), mark);
         }
         Layout::Athena => athena::plan(input),
+        Layout::Chombo => chombo::plan(input),
+        Layout::Enzo => super::enzo::plan(files, spec),
         Layout::Flash => flash::plan(input),
+        Layout::Gdf => gdf::plan(input),
         Layout::Vtkhdf => vtkhdf::plan(input),
         Layout::OpenPmd => openpmd::plan(input),
         Layout::Netcdf => netcdf::plan(input),
     };
-    match layout {
+    match found {
         Err(why) if files.dataset.is_some() => {
-            generic::plan(Input::new(files, spec)?, &conventions::NONE).map_err(|_| why)
+            let outright = generic::plan(Input::new(files, spec)?, &conventions::NONE).map_err(|_| why);
+            marked(outright, "the dataset was named outright")
         }
-        other => other,
+        other => marked(other, mark),
     }
+}
+
+fn marked(plan: Result<Plan>, mark: &str) -> Result<Plan> {
+    plan.map(|mut plan| {
+        plan.info.why.splice(0..0, ["HDF5 signature".to_owned(), mark.to_owned()]);
+        plan
+    })
 }
 
 /// Layouts of HDF5 files.
 enum Layout {
     Generic,
     Athena,
+    Chombo,
+    Enzo,
     Flash,
+    Gdf,
     Vtkhdf,
     OpenPmd,
     Netcdf,
 }
 
-/// The layout whose marks a file bears.
-fn layout(file: &File) -> Layout {
+/// The layout whose marks a file bears, and which those are.
+fn layout(file: &File) -> (Layout, &'static str) {
     let marked = |name: &str| file.attr(name).is_ok();
     if file.link_exists("VTKHDF") {
-        Layout::Vtkhdf
+        (Layout::Vtkhdf, "group /VTKHDF")
     } else if marked("openPMD") && marked("basePath") {
-        Layout::OpenPmd
+        (Layout::OpenPmd, "root attributes openPMD and basePath")
     } else if marked("NumMeshBlocks") && marked("RootGridSize") {
-        Layout::Athena
+        (Layout::Athena, "root attributes NumMeshBlocks and RootGridSize")
     } else if flash::is(file) {
-        Layout::Flash
-    } else if marked("_NCProperties") || netcdf::has_scales(file) {
-        Layout::Netcdf
+        (Layout::Flash, "datasets /bounding box and /unknown names")
+    } else if chombo::is(file) {
+        (Layout::Chombo, "groups /level_0 and /Chombo_global")
+    } else if gdf::is(file) {
+        (Layout::Gdf, "group /gridded_data_format and dataset /grid_left_index")
+    } else if file.link_exists("Grid00000001") {
+        (Layout::Enzo, "group /Grid00000001")
+    } else if marked("_NCProperties") {
+        (Layout::Netcdf, "root attribute _NCProperties")
+    } else if netcdf::has_scales(file) {
+        (Layout::Netcdf, "dimension scales")
     } else {
-        Layout::Generic
+        (Layout::Generic, "")
     }
 }
 

@@ -11,16 +11,22 @@ use super::{Input, Packing, Slab, asked};
 use crate::error::{Error, Result};
 use crate::source::axes::{Axes, Evidence, place};
 use crate::source::choose::{choose, component};
+use crate::source::coords::{self, Along};
 use crate::source::series::{Plan, Step};
 use crate::source::values::Values;
-use crate::source::{Candidate, GridInfo, SeriesInfo};
+use crate::source::{Candidate, GridInfo, SeriesInfo, shape_text};
 
 /// A dimension of a variable: its name, and its coordinates where it has any.
+#[derive(Default)]
 pub(crate) struct Scale {
     name: String,
     units: String,
     axis: String,
     standard_name: String,
+    /// Variable with the two ends of each cell.
+    bounds: String,
+    /// Positive values lie below: depths.
+    down: bool,
     pub values: Option<Vec<f64>>,
 }
 
@@ -58,8 +64,10 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         return Err(Error::format(path, found, "a file with at least one such variable"));
     }
     let (found, scales) = &variables[choose(&path, &candidates, asked(input.files, input.spec))?];
+    if super::conventions::is_cutout(&input.file) {
+        return super::generic::plan(input, &super::conventions::JHTDB);
+    }
     if found.members.len() > 1 {
-        // One variable a step, as turbulence databases cut them out.
         return super::generic::plan(input, &super::conventions::NONE);
     }
     let dataset_path = found.members[0].1.clone();
@@ -76,8 +84,8 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         time_lengths: &time_lengths,
         many: input.files.entries.len() > 1,
     };
-    let axes = place(&evidence, &mut input.warnings)?;
-    let grid = grid(&axes, found, scales, &mut input.warnings);
+    let (axes, reason) = place(&evidence, &mut input.warnings)?;
+    let grid = grid(&input.file, &axes, found, scales, &mut input.warnings);
     let parts = component(&name, axes.component.map(|c| found.shape[c]), input.spec.component.as_deref())?;
     let dataset = super::open_dataset(&input.file, &path, &dataset_path)?;
     let packing = packing(&dataset);
@@ -116,10 +124,14 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         series: input.paths(),
         field: found.name.clone(),
         candidates,
+        why: vec![format!("axes {} of {}: {reason}", axes.spelled(), shape_text(&found.shape))],
+        others: tree.others,
+        units: text(&dataset, "units").unwrap_or_default(),
+        time_units: axes.time.and_then(|t| scales.get(t)).map(Scale::time_units).unwrap_or_default(),
         grid,
-        steps: Vec::new(),
         range,
         warnings: input.warnings,
+        ..SeriesInfo::default()
     };
     Ok(Plan { info, steps, start: 0.0 })
 }
@@ -136,8 +148,17 @@ impl Scale {
             units: told("units"),
             axis: told("axis").to_ascii_uppercase(),
             standard_name: told("standard_name"),
+            bounds: told("bounds"),
+            down: told("positive").eq_ignore_ascii_case("down"),
             values,
         }
+    }
+
+    /// `s` of `seconds since 2000-01-01`.
+    fn time_units(&self) -> String {
+        let word = self.units.split(" since ").next().unwrap_or_default().trim();
+        let short = [("second", "s"), ("minute", "min"), ("hour", "h"), ("day", "d")];
+        short.iter().find(|(long, _)| word.trim_end_matches('s') == *long).map_or(word, |(_, s)| s).to_owned()
     }
 
     /// x, y, z or t, where the convention or the name tells.
@@ -171,30 +192,54 @@ fn spelled(scales: &[Scale]) -> Option<String> {
 pub(crate) fn scales(file: &File, dataset: &Dataset) -> Vec<Scale> {
     let listed = || -> Option<Vec<Scale>> {
         let lists = dataset.attr("DIMENSION_LIST").ok()?.read_raw::<VarLenArray<ObjectReference1>>().ok()?;
+        // An axis may do without: that of a vector's components does.
         let scale = |list: &VarLenArray<ObjectReference1>| match file.dereference(list.first()?).ok()? {
             ReferencedObject::Dataset(scale) => Some(Scale::read(&scale)),
             _ => None,
         };
-        lists.iter().map(scale).collect()
+        Some(lists.iter().map(|list| scale(list).unwrap_or_default()).collect())
     };
     listed().unwrap_or_default()
 }
 
 /// Size, spacing and origin; coordinates in different units along the axes are told.
-fn grid(axes: &Axes, found: &Found, scales: &[Scale], warnings: &mut Vec<String>) -> GridInfo {
+fn grid(file: &File, axes: &Axes, found: &Found, scales: &[Scale], warnings: &mut Vec<String>) -> GridInfo {
     let size = axes.size(&found.shape);
-    let counted: [Vec<f64>; 3] = size.map(|n| (0..n).map(|i| i as f64).collect());
-    let along = |a: usize| scales.get(axes.space[a]).and_then(|s| s.values.as_deref()).filter(|v| v.len() == size[a]);
-    let values = std::array::from_fn(|a| along(a).unwrap_or(&counted[a]));
-    let (spacing, origin) = crate::source::coords::uniform(values, warnings).unwrap_or(([1.0; 3], [0.0; 3]));
+    let along = |a: usize| -> Along {
+        let scale = scales.get(axes.space[a]).filter(|s| s.values.as_ref().is_some_and(|v| v.len() == size[a]));
+        let Some((scale, values)) = scale.and_then(|s| Some((s, s.values.as_ref()?))) else {
+            return Along::points(&(0..size[a]).map(|i| i as f64).collect::<Vec<_>>());
+        };
+        let sign = if scale.down { -1.0 } else { 1.0 };
+        let faces = scale.faces(file, &found.members[0].1, size[a]);
+        let turned = |v: &Vec<f64>| v.iter().map(|x| sign * x).collect::<Vec<f64>>();
+        Along { centres: turned(values), faces: faces.as_ref().map(turned) }
+    };
+    let along = [along(0), along(1), along(2)];
     let units: Vec<&str> = axes.space.iter().filter_map(|&a| scales.get(a)).map(|s| s.units.as_str()).collect();
     let same = units.windows(2).all(|w| w[0] == w[1]);
     if !same {
         warnings
             .push(format!("coordinates along x, y, z are in {}: --spacing DX,DY,DZ sets one unit", units.join(", ")));
     }
+    if axes.space.iter().filter_map(|&a| scales.get(a)).any(|s| s.down) {
+        warnings.push("a coordinate is positive downwards: it is shown with its sign turned, so that up is up".into());
+    }
     let units = if same { units.first().copied().unwrap_or_default().to_owned() } else { String::new() };
-    GridInfo { size, spacing, origin, units, centering: "node".into() }
+    let mut grid = GridInfo { size, spacing: [1.0; 3], units, centering: "node".into(), ..GridInfo::default() };
+    coords::place(&mut grid, along, warnings);
+    grid
+}
+
+impl Scale {
+    /// Ends of the cells where `bounds` names them and they leave no gap.
+    fn faces(&self, file: &File, variable: &str, count: usize) -> Option<Vec<f64>> {
+        let group = variable.rsplit_once('/').map_or("", |(group, _)| group);
+        let bounds = file.dataset(&format!("{group}/{}", self.bounds)).ok().filter(|_| !self.bounds.is_empty())?;
+        let pairs = numbers_in(&bounds).filter(|v| bounds.shape() == [count, 2] && v.len() == 2 * count)?;
+        let joined = pairs.chunks_exact(2).zip(pairs.chunks_exact(2).skip(1)).all(|(a, b)| a[1] == b[0]);
+        joined.then(|| pairs.iter().step_by(2).chain(pairs.last()).copied().collect())
+    }
 }
 
 /// Times along a variable's time axis in one file.

@@ -96,9 +96,9 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         field,
         candidates,
         grid: mesh.grid(chosen[0]),
-        steps: Vec::new(),
-        range: None,
+        time_units: "s".into(),
         warnings: input.warnings,
+        ..SeriesInfo::default()
     };
     Ok(Plan { info, steps, start: 0.0 })
 }
@@ -272,7 +272,14 @@ impl Mesh {
         let position = self.positions[part];
         let origin = std::array::from_fn(|a| self.offset[a] + position[a] * self.spacing[a]);
         let centering = if position == [0.5; 3] { "cell" } else { "node" };
-        GridInfo { size: self.size, spacing: self.spacing, origin, units: "m".into(), centering: centering.into() }
+        GridInfo {
+            size: self.size,
+            spacing: self.spacing,
+            origin,
+            units: "m".into(),
+            centering: centering.into(),
+            stretch: None,
+        }
     }
 
     fn slab(&self, file: std::path::PathBuf, dataset: String) -> Slab {

@@ -95,7 +95,7 @@ impl Opened {
     /// Datasets kept: the three components of a vector and one more.
     const KEPT: usize = 4;
 
-    fn dataset(&self, path: &Path, name: &str, slab: &Slab) -> Result<Arc<Dataset>> {
+    pub(super) fn dataset(&self, path: &Path, name: &str, slab: &Slab) -> Result<Arc<Dataset>> {
         let mut kept = self.0.lock().unwrap_or_else(|e| e.into_inner());
         if let Some((.., dataset)) = kept.iter().find(|(p, n, _)| p == path && n == name) {
             return Ok(dataset.clone());
@@ -189,7 +189,7 @@ impl Field for SlabField {
 }
 
 /// What kept HDF5 from reading values, in words.
-fn read_error(name: &str, dataset: &Dataset, e: &hdf5::Error) -> Error {
+pub(super) fn read_error(name: &str, dataset: &Dataset, e: &hdf5::Error) -> Error {
     let text = e.to_string();
     let absent = dataset.filters().into_iter().find(|f| !f.is_available());
     if let Some(filter) = absent {

@@ -85,9 +85,8 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         field: array.candidate.name.clone(),
         candidates,
         grid,
-        steps: Vec::new(),
-        range: None,
         warnings: input.warnings,
+        ..SeriesInfo::default()
     };
     Ok(Plan { info, steps, start: 0.0 })
 }
@@ -154,5 +153,6 @@ fn grid(root: &Group, size: [usize; 3], cells: bool, warnings: &mut Vec<String>)
         warnings
             .push("/VTKHDF has a rotated Direction, which is ignored: the volume is shown along its own axes".into());
     }
-    GridInfo { size, spacing, origin, units: String::new(), centering: if cells { "cell" } else { "node" }.into() }
+    let centering = if cells { "cell" } else { "node" }.into();
+    GridInfo { size, spacing, origin, centering, ..GridInfo::default() }
 }

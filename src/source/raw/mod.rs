@@ -106,7 +106,8 @@ pub(crate) fn plan(files: &Files, text: &str, spec: &SourceSpec) -> Result<Plan>
             steps.push(Step { step, time: None, grid: None, values: values(&raw, bytes, index, count, spec)? });
         }
     }
-    let info = describe(&raw, "raw", files, warnings);
+    let mut info = describe(&raw, "raw", files, warnings);
+    info.why.push("--raw".into());
     Ok(Plan { info, steps, start: raw.start })
 }
 
@@ -130,16 +131,9 @@ pub(crate) fn describe(raw: &RawSpec, layout: &str, files: &Files, warnings: Vec
         series: files.entries.iter().map(|e| e.path.clone()).collect(),
         candidates: vec![Candidate { name: field.clone(), shape, dtype: raw.dtype.name(), kind: kind.into() }],
         field,
-        grid: GridInfo {
-            size: raw.size,
-            spacing: [1.0; 3],
-            origin: [0.0; 3],
-            units: String::new(),
-            centering: "node".into(),
-        },
-        steps: Vec::new(),
-        range: None,
+        grid: GridInfo { size: raw.size, spacing: [1.0; 3], centering: "node".into(), ..GridInfo::default() },
         warnings,
+        ..SeriesInfo::default()
     }
 }
 

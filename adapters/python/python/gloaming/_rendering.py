@@ -154,7 +154,7 @@ def _lit(
     numbers: Iterator[int] = itertools.count() if steps is None else iter(steps)
     moments: Iterator[float | None] = itertools.repeat(None) if times is None else iter(times)
     if isinstance(series, Series):
-        between = between if spacing is not None else series.info()["grid"]["spacing"]
+        between = between if spacing is not None else series.grid["spacing"]
         numbers = numbers if steps is not None else iter(series.steps)
         moments = moments if times is not None else iter(series.times)
     overall = _overall(series) if _gloaming.Session.wants_range(scene) else None

@@ -26,8 +26,10 @@ def open(
     origin: Triple | None = None,
     time_step: float | None = None,
     raw: str | None = None,
+    level: int | None = None,
 ) -> Series:
-    """Opens a series of timesteps in files: HDF5 in many layouts, XDMF, NRRD, MetaImage, VTK images, raw files.
+    """Opens a series of timesteps in files: HDF5 in many layouts, XDMF, NRRD, MetaImage, VTK images, raw files. Meshes of
+    several levels are brought to one, uneven axes to even ones.
 
     :param series: A file, several, a directory, a glob or a pattern such as ``run/plt_{step:05}.h5``; ``FILE:/dataset`` names
         a dataset outright.
@@ -38,6 +40,7 @@ def open(
     :param origin: World position of the first value, instead of the file's.
     :param time_step: Physical time between steps, instead of the file's times.
     :param raw: Layout of headerless files, such as ``dims=96x96x96,dtype=f64le,offset=24,order=zyx,steps=12``.
+    :param level: Level of refinement to bring a mesh to, 0 the coarsest, instead of the finest.
 
     >>> import h5py, numpy as np, os, tempfile, gloaming
     >>> run = os.path.join(tempfile.mkdtemp(), "run.h5")
@@ -58,6 +61,7 @@ def open(
         axes,
         (None if spacing is None else triple(spacing), None if origin is None else triple(origin), time_step),
         raw,
+        level,
     )
     return Series(native)
 
@@ -84,6 +88,12 @@ class Series:
     def times(self) -> list[float | None]:
         """Physical times, ``None`` where they are not known."""
         return [step["time"] for step in self._info["steps"]]
+
+    @property
+    def grid(self) -> dict[str, Any]:
+        """The grid of the values that are read: ``size``, ``spacing`` and ``origin`` along x, y, z."""
+        grid: dict[str, Any] = self._info["resampled"] or self._info["grid"]
+        return grid
 
     def read(self, step: int, dtype: Any = np.float32) -> npt.NDArray[Any]:
         """The values of a step by its number, (z, y, x), as float32 or float64; NaN where there are none.
@@ -112,5 +122,5 @@ class Series:
         return (self._read(index)[0] for index in range(len(self)))
 
     def __repr__(self) -> str:
-        size = "×".join(map(str, self._info["grid"]["size"]))
+        size = "×".join(map(str, self.grid["size"]))
         return f"<gloaming.Series: {len(self)} steps of {self._info['field']}, {size}>"
