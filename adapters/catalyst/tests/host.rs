@@ -101,9 +101,9 @@ fn values(n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// The bytes of a step's frame and illuminated volume.
-fn frame(out: &Path, step: u64) -> [Vec<u8>; 2] {
-    [format!("frame_{step:03}.png"), format!("light_{step:03}.raw")].map(|name| {
+/// The bytes of a step's frame and illuminated volume, and the text that says where and when that is.
+fn frame(out: &Path, step: u64) -> [Vec<u8>; 3] {
+    [format!("frame_{step:03}.png"), format!("light_{step:03}.raw"), format!("light_{step:03}.xmf")].map(|name| {
         let path = out.join(name);
         std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
     })

@@ -11,6 +11,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 
 typedef struct node node;
 
@@ -66,8 +67,16 @@ static double value(int i, int j, int k, int n) {
     return 1.0 / (1.0 + x * x + y * y + z * z);
 }
 
-/* Room for values of any type and stride, wiped after every step. */
-static char memory[COUNT * 32];
+/* Room for values of any type and stride, wiped after every step. They end where the memory ends: reading on ends the process. */
+enum { ROOM = 1 << 16 };
+static char *memory, *end_of_memory;
+
+static void make_room(void) {
+    char *room = mmap(NULL, 2 * ROOM, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (room == MAP_FAILED || mprotect(room + ROOM, ROOM, PROT_NONE)) exit(9);
+    end_of_memory = room + ROOM;
+}
+
 static unsigned char ghosts[COUNT];
 
 static void put(const char *type, char *at, double v) {
@@ -109,7 +118,8 @@ static void channel(node *root, const char *name, const char *wanted, int n) {
     /* Interleaved with others, as a particle-like struct has it; packed, so that nothing is aligned. */
     int64_t offset = scenario(wanted, "strided") ? 8 : scenario(wanted, "packed") ? 5 : 0;
     int64_t stride = scenario(wanted, "strided") ? 24 : scenario(wanted, "packed") ? 13 : bytes;
-    int frame = scenario(wanted, "ghosts");
+    int frame = scenario(wanted, "ghosts"), count = COUNT - scenario(wanted, "short");
+    memory = end_of_memory - (offset + (count - 1) * stride + bytes);
     for (int k = 0, at = 0; k < NZ; k++)
         for (int j = 0; j < NY; j++)
             for (int i = 0; i < NX; i++, at++) {
@@ -117,13 +127,13 @@ static void channel(node *root, const char *name, const char *wanted, int n) {
                 int outside = i < 2 || i >= NX - 1 || j < 1 || k >= NZ - 2;
                 int inside = i == 6 && j == 5 && k == 4;
                 ghosts[at] = frame && (outside || inside);
-                put(type, memory + offset + at * stride, ghosts[at] ? 99.0 : value(i, j, k, n));
+                if (at < count) put(type, memory + offset + at * stride, ghosts[at] ? 99.0 : value(i, j, k, n));
             }
     text(data, "fields/density/association", element ? "element" : "vertex");
     text(data, "fields/density/topology", scenario(wanted, "no_topology") ? "elsewhere" : "mesh");
     if (scenario(wanted, "text_values")) text(data, "fields/density/values", "none");
     else if (!scenario(wanted, "no_values"))
-        lend(data, "fields/density/values", type, memory, COUNT - scenario(wanted, "short"), offset, stride, bytes);
+        lend(data, "fields/density/values", type, memory, count, offset, stride, bytes);
     if (frame && n % 2) {
         text(data, "fields/ascent_ghosts/association", "vertex");
         text(data, "fields/ascent_ghosts/topology", "mesh");
@@ -152,7 +162,7 @@ static void step(const char *wanted, int number_of_step) {
     if (scenario(wanted, "two_channels")) channel(root, "other", wanted, number_of_step);
     call("catalyst_execute", scenario(wanted, "null") ? NULL : root);
     destroy(root);
-    memset(memory, 0xff, sizeof memory);
+    memset(end_of_memory - ROOM, 0xff, ROOM);
 }
 
 int main(int argc, char **argv) {
@@ -165,6 +175,7 @@ int main(int argc, char **argv) {
         fprintf(stderr, "solver: %s\n", dlerror());
         return 9;
     }
+    make_room();
     const char *wanted = argv[3];
     node *root = create();
     integer(root, "catalyst/mpi_comm", 0);

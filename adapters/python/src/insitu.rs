@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use gloaming::Error;
 use gloaming::field::Timestep;
 use gloaming::insitu::{self, Policy, Taken};
 use gloaming::scene::Scene;
@@ -18,6 +19,27 @@ pub struct InSitu {
     session: Arc<insitu::InSitu>,
     /// Steps that may wait, where a push then waits for room.
     room: Option<u64>,
+    /// The process that has the session's threads. One that was forked from it has only their memory.
+    process: u32,
+}
+
+impl InSitu {
+    fn session(&self, py: Python<'_>) -> PyResult<Arc<insitu::InSitu>> {
+        if std::process::id() != self.process {
+            let text = "the session belongs to the process that this one was forked from\n  try: to open one here";
+            return Err(raised(py, Error::Closed(text.into())));
+        }
+        Ok(self.session.clone())
+    }
+}
+
+impl Drop for InSitu {
+    fn drop(&mut self) {
+        if std::process::id() != self.process {
+            // Closing would wait for threads that are not here.
+            std::mem::forget(self.session.clone());
+        }
+    }
 }
 
 #[pymethods]
@@ -30,7 +52,7 @@ impl InSitu {
             let room = (scene.insitu.policy == Policy::Block).then_some(scene.insitu.queue as u64);
             Ok((insitu::InSitu::with(scene).open()?, room))
         })?;
-        Ok(InSitu { session: Arc::new(session), room })
+        Ok(InSitu { session: Arc::new(session), room, process: std::process::id() })
     }
 
     /// Copies an array (z, y, x) into the queue, or takes it as it is when it is given: `queued`, `dropped` or `skipped`.
@@ -45,7 +67,8 @@ impl InSitu {
         give: bool,
     ) -> PyResult<&'static str> {
         let block = block(array, spacing, origin).map_err(|e| raised(py, e))?;
-        let session = self.session.clone();
+        let session = self.session(py)?;
+        let waiting = session.stats().waiting;
         let push = move || match give {
             true => {
                 block.check()?;
@@ -55,7 +78,7 @@ impl InSitu {
         };
         // A push that may wait for room does so where Ctrl-C is answered; a thread for each push would cost more than small copies.
         let taken = match self.room {
-            Some(room) if self.session.stats().waiting >= room => patiently(py, push)?,
+            Some(room) if waiting >= room => patiently(py, push)?,
             _ => py.detach(push).map_err(|e| raised(py, e))?,
         };
         Ok(match taken {
@@ -67,18 +90,18 @@ impl InSitu {
 
     /// Waits until every step so far is lit and written.
     fn flush(&self, py: Python<'_>) -> PyResult<()> {
-        let session = self.session.clone();
+        let session = self.session(py)?;
         patiently(py, move || session.flush())
     }
 
     /// What has become of the steps, as JSON.
-    fn stats(&self) -> String {
-        serde_json::to_string(&self.session.stats()).unwrap_or_default()
+    fn stats(&self, py: Python<'_>) -> PyResult<String> {
+        serde_json::to_string(&self.session(py)?.stats()).map_err(|e| raised(py, Error::Bug(e.to_string())))
     }
 
     /// Lights what is still waiting and closes every file.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        let session = self.session.clone();
+        let session = self.session(py)?;
         patiently(py, move || session.close().map(|_| ()))
     }
 }

@@ -212,6 +212,24 @@ except KeyboardInterrupt:
     assert done.stdout == "interrupted\n", done.stderr
 
 
+def test_a_forked_process_neither_pushes_nor_hangs(tmp_path):
+    program = f"""
+import gloaming, numpy as np, os, sys
+lit = gloaming.InSitu("field.range = [0, 1]\\n[render]\\nsize = [40, 30]\\n", outputs=[{str(tmp_path / "f_{step}.png")!r}])
+child = os.fork()
+if not child:
+    try:
+        lit.push(np.zeros((8, 8, 8)))
+    except gloaming.ClosedError:
+        sys.exit(7)
+    sys.exit(1)
+lit.push(np.zeros((8, 8, 8)))
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), lit.close().lit)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "7 1\n", done.stderr
+
+
 def test_the_process_keeps_its_signal_handlers(tmp_path):
     before = signal.getsignal(signal.SIGINT)
     with opened(tmp_path) as lit:

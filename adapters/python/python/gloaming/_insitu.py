@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
 import weakref
 from collections.abc import Mapping
@@ -42,6 +43,11 @@ class Stats:
     last_loss: tuple[int, str] | None
 
 
+def _close(native: _gloaming.InSitu, process: int) -> None:
+    if os.getpid() == process:
+        native.close()
+
+
 class InSitu:
     """A session that lights a simulation's steps on threads of its own while the simulation goes on.
 
@@ -73,7 +79,7 @@ class InSitu:
         settings = {f"insitu.{key}": value for key, value in insitu.items()}
         self._native = _gloaming.InSitu(document(scene, **settings))
         # Also at the end of a program that forgot to close: a movie wants its last bytes.
-        self._finalizer = weakref.finalize(self, self._native.close)
+        self._finalizer = weakref.finalize(self, _close, self._native, os.getpid())
 
     def push(
         self,
