@@ -108,8 +108,13 @@ impl Opening {
         let (tell, opened) = bounded(1);
         let of_thread = queue.clone();
         let run = move || {
-            let result = lighting::run(self, of_thread.clone(), &tell);
-            of_thread.end("the session was closed");
+            let result = catch_unwind(AssertUnwindSafe(|| lighting::run(self, of_thread.clone(), &tell)));
+            let result = result.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))));
+            of_thread.end(if result.is_ok() {
+                "the session was closed"
+            } else {
+                "the session ended; close() tells why"
+            });
             result
         };
         let thread = std::thread::Builder::new().name("gloaming-light".into()).spawn(run);

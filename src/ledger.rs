@@ -3,6 +3,7 @@
 //! Columns are the fields of [`LedgerRow`], in that order. A CSV has a header line and an empty cell where a value is not
 //! known; a JSON file is an array of objects with `null` there and where a number is not finite.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -54,6 +55,8 @@ pub struct LedgerRow {
     pub render_ms: f64,
     /// Writing, all sinks.
     pub write_ms: f64,
+    /// Frames rendered, one per camera; 0 where the light had not changed enough to (in situ, on request), or the step was lost.
+    pub frames: u64,
     /// Why the step was lost; empty when it was not.
     pub lost: String,
 }
@@ -64,7 +67,8 @@ pub struct LedgerRow {
 pub struct Ledger {
     path: PathBuf,
     format: Format,
-    rows: Vec<LedgerRow>,
+    /// Steps that have a row: the rows themselves would fill the memory of a long run.
+    steps: HashSet<u64>,
     file: File,
 }
 
@@ -134,22 +138,22 @@ impl Ledger {
     fn with_rows(path: PathBuf, rows: Vec<LedgerRow>) -> Result<Self> {
         let format = Format::of(&path)?;
         let file = rewrite(&path, format, &rows)?;
-        Ok(Ledger { path, format, rows, file })
-    }
-
-    /// The rows so far.
-    pub fn rows(&self) -> &[LedgerRow] {
-        &self.rows
+        Ok(Ledger { path, format, steps: rows.iter().map(|r| r.step).collect(), file })
     }
 
     /// Adds a row; a row of the same step that is there already is replaced.
     pub fn push(&mut self, row: LedgerRow) -> Result<()> {
-        if let Some(same) = self.rows.iter().rposition(|r| r.step == row.step) {
-            self.rows[same] = row;
-            self.file = rewrite(&self.path, self.format, &self.rows)?;
+        if self.steps.contains(&row.step) {
+            let mut rows = read(&self.path)?;
+            match rows.iter_mut().rfind(|r| r.step == row.step) {
+                Some(same) => *same = row,
+                None => rows.push(row),
+            }
+            self.file = rewrite(&self.path, self.format, &rows)?;
             return Ok(());
         }
-        let mut text = self.format.row(self.rows.len(), &row).map_err(|e| Error::format(&self.path, e, ""))?;
+        let index = self.steps.len();
+        let mut text = self.format.row(index, &row).map_err(|e| Error::format(&self.path, e, ""))?;
         text.extend(self.format.end().as_bytes());
         let length = self.file.seek(SeekFrom::End(0)).map_err(|e| Error::io(&self.path, e))?;
         let at = length - self.format.end().len() as u64;
@@ -159,7 +163,7 @@ impl Ledger {
             let _ = self.put(at, self.format.end().as_bytes());
             return Err(Error::io(&self.path, e));
         }
-        self.rows.push(row);
+        self.steps.insert(row.step);
         Ok(())
     }
 
@@ -242,7 +246,7 @@ mod tests {
             ledger.push(row(50, None)).unwrap();
             let steps: Vec<_> = read(&path).unwrap().iter().map(|r| (r.step, r.time)).collect();
             assert_eq!(steps, [(10, Some(0.1)), (20, Some(5.0)), (30, None), (40, None), (50, None)]);
-            assert_eq!(Ledger::create(&path).unwrap().rows(), &[]);
+            Ledger::create(&path).unwrap();
             assert_eq!(read(&path).unwrap(), &[]);
         }
     }

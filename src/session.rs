@@ -10,7 +10,7 @@ use crate::field::Timestep;
 use crate::frame::Frame;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
-use crate::light::{LightSolver, LightVolume};
+use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
 use crate::render::{self, Renderer};
@@ -30,6 +30,8 @@ pub struct Session {
     wants_light: bool,
     steps: u64,
     state: Option<State>,
+    /// Change of the light below which a step is not rendered, and the light of the last that was.
+    news: Option<(f64, Option<Arc<IlluminatedVolume>>)>,
 }
 
 /// What is sized by the data's grid, made when the first step arrives.
@@ -68,6 +70,7 @@ impl Session {
             steps: 0,
             seen: None,
             state: None,
+            news: None,
             device,
             scene,
             range,
@@ -78,6 +81,12 @@ impl Session {
     /// The scene that is shown.
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// From now on a step is rendered only when its light differs by more than `change` from that of the last step that was,
+    /// anywhere, relative to the brightest light; the output of one that is not has no frames and no light.
+    pub fn only_when_light_changes(&mut self, change: f64) {
+        self.news = Some((change, None));
     }
 
     /// The grid of the steps so far.
@@ -118,18 +127,24 @@ impl Session {
         let solved = state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?;
         let light_ms = clock.lap();
 
+        let mut light = None;
+        if self.wants_light || self.news.is_some() {
+            light = Some(Arc::new(state.solver.illuminated(device, &state.light)?));
+        }
+        let shown = is_news(&mut self.news, light.as_ref());
+        let light_ms = light_ms + clock.lap();
+
         let mut frames = Vec::with_capacity(self.scene.cameras.len());
         let size = self.scene.render.size;
-        for keys in cameras(&self.scene) {
+        for keys in cameras(&self.scene).into_iter().take(if shown { usize::MAX } else { 0 }) {
             let camera = Camera::framed(&keys, &step.grid, size[0] as f64 / size[1] as f64, self.steps)?;
             let frame = self.renderer.render(device, &state.medium, &state.light, &camera, size)?;
             frames.push(view(&keys.name, keys.fov as f32, &camera, frame));
         }
         let render_ms = clock.lap();
 
-        let light =
-            if self.wants_light { Some(Arc::new(state.solver.illuminated(device, &state.light)?)) } else { None };
-        self.steps += 1;
+        let light = light.filter(|_| self.wants_light && shown);
+        self.steps += u64::from(shown);
         let row = LedgerRow {
             step: step.step,
             time: step.time,
@@ -143,12 +158,35 @@ impl Session {
             certified_error: solved.certified_error,
             holes,
             classify_ms,
-            light_ms: light_ms + clock.lap(),
+            light_ms,
             render_ms,
+            frames: frames.len() as u64,
             ..Default::default()
         };
         Ok(Output { step: step.step, time: step.time, range, frames, light, row })
     }
+}
+
+/// True when the light has changed enough since the last that was shown, which this one then is.
+fn is_news(news: &mut Option<(f64, Option<Arc<IlluminatedVolume>>)>, light: Option<&Arc<IlluminatedVolume>>) -> bool {
+    let (Some((threshold, shown)), Some(light)) = (news, light) else { return true };
+    if shown.as_ref().is_some_and(|before| change(before, light) <= *threshold) {
+        return false;
+    }
+    *shown = Some(light.clone());
+    true
+}
+
+/// Largest change of the light between two steps, relative to the brightest light of the later one; infinite from one grid to
+/// another.
+fn change(before: &IlluminatedVolume, now: &IlluminatedVolume) -> f64 {
+    if before.grid != now.grid {
+        return f64::INFINITY;
+    }
+    let values = || before.fluence.iter().flatten().zip(now.fluence.iter().flatten());
+    let (largest, brightest) =
+        values().fold((0.0f32, 0.0f32), |(d, b), (was, is)| (d.max((is - was).abs()), b.max(*is)));
+    if largest > 0.0 { f64::from(largest) / f64::from(brightest) } else { 0.0 }
 }
 
 /// The range of values where neither the scene nor the series tells: this step's, or over all steps so far, so that it only

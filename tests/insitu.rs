@@ -214,3 +214,373 @@ fn pushing_after_close_is_refused() {
     assert!(matches!(lit.flush(), Err(Error::Closed(_))));
     assert_eq!(lit.close().unwrap(), stats);
 }
+
+#[test]
+fn triggers_pick_the_same_steps_after_a_restart() {
+    let taken = |sets: &dyn Fn(&mut Scene), steps: std::ops::Range<u64>| {
+        let out = tempfile::tempdir().unwrap();
+        let mut scene = scene(out.path(), &[]);
+        sets(&mut scene);
+        let lit = InSitu::with(scene).sink(Box::new(Panics(u64::MAX))).open().unwrap();
+        let times = |step| Timestep { time: Some(0.1 * step as f64), ..owned(step) };
+        let all = steps.clone().map(|s| (s, lit.push_owned(times(s)).unwrap()));
+        let taken: Vec<u64> = all.filter(|(_, t)| *t == Taken::Queued).map(|(s, _)| s).collect();
+        let stats = lit.close().unwrap();
+        assert_eq!((stats.lit, stats.skipped), (taken.len() as u64, steps.count() as u64 - taken.len() as u64));
+        assert_eq!(rows(out.path()).len(), taken.len(), "skipped steps are no losses");
+        taken
+    };
+    assert_eq!(taken(&|s| s.insitu.every = 4, 0..10), [0, 4, 8]);
+    assert_eq!(taken(&|s| s.insitu.every = 4, 3..10), [4, 8]);
+    // 0.3 is not what 3·0.1 is in binary.
+    assert_eq!(taken(&|s| s.insitu.every_time = Some(0.3), 0..10), [0, 3, 6, 9]);
+    assert_eq!(taken(&|s| s.insitu.every_time = Some(0.3), 6..10), [6, 9]);
+}
+
+/// The medium thickens at every third step.
+#[test]
+fn a_step_is_rendered_when_its_light_has_changed() {
+    let out = tempfile::tempdir().unwrap();
+    let run = |change| {
+        let mut scene = scene(out.path(), &[]);
+        scene.insitu.light_change = change;
+        let lit = InSitu::with(scene).sink(Box::new(Panics(u64::MAX))).open().unwrap();
+        for step in 0..8u64 {
+            let density = vec![0.02 * (1 + step / 3) as f32; SIZE.iter().product()];
+            lit.push(step, None, &Strided::of(&density, SIZE)).unwrap();
+        }
+        let stats = lit.close().unwrap();
+        assert_eq!(stats.lit + stats.skipped, 8);
+        rows(out.path()).iter().filter(|r| r.frames > 0).map(|r| r.step).collect::<Vec<_>>()
+    };
+    // Above light.tolerance: within it, light that stays the same still gets better.
+    assert_eq!(run(Some(0.01)), [0, 3, 6], "the steps at which anything changes");
+    assert_eq!(run(Some(0.9)), [0]);
+    assert_eq!(run(None), Vec::from_iter(0..8));
+}
+
+#[test]
+fn resuming_skips_what_is_complete_and_continues_the_ledger() {
+    let out = tempfile::tempdir().unwrap();
+    let outputs = ["a/f_{step:03}.png", "b/f_{step:03}.exr"];
+    let run = |steps: std::ops::Range<u64>, resume| {
+        let mut scene = scene(out.path(), &outputs);
+        scene.insitu.resume = resume;
+        let lit = InSitu::with(scene).open().unwrap();
+        steps.for_each(|s| assert_eq!(lit.push_owned(owned(s)).unwrap(), Taken::Queued));
+        let stats = lit.close().unwrap();
+        (stats.lit, stats.skipped)
+    };
+    assert_eq!(run(0..4, false), (4, 0));
+    std::fs::remove_file(out.path().join("b/f_002.exr")).unwrap();
+    assert_eq!(run(1..6, true), (3, 2), "2 lacks a file, 4 and 5 are new");
+    assert!(out.path().join("b/f_002.exr").exists());
+    assert_eq!(rows(out.path()).iter().map(|r| r.step).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+    // Without it, the steps are done again.
+    assert_eq!(run(1..3, false), (2, 0));
+}
+
+/// A simulation that any interference would show in: a chaotic map, pushed at every step.
+fn simulate(steps: std::ops::Range<u64>, mut each: impl FnMut(u64, &[f32])) -> u64 {
+    let mut values = values(0);
+    for step in steps {
+        let total: f32 = values.iter().sum::<f32>() / values.len() as f32;
+        values.iter_mut().for_each(|v| *v = 3.7 * *v * (1.0 - *v) * (0.9 + 0.1 * total));
+        each(step, &values);
+    }
+    values.iter().fold(0, |hash, v| (hash ^ u64::from(v.to_bits())).wrapping_mul(0x100000001b3))
+}
+
+/// Runs the simulation with a session and whatever `each` does to it, and without. It ends the same; every step has a row; what
+/// is lost is counted. Returns the rows.
+fn survives(opening: Opening, out: &Path, each: impl Fn(u64)) -> Vec<LedgerRow> {
+    let lit = opening.open().unwrap();
+    let with = simulate(0..12, |step, values| {
+        each(step);
+        let _ = lit.push(step, None, &Strided::of(values, SIZE));
+        // Where the disk is, the next step finds it.
+        let _ = lit.flush();
+    });
+    let _ = lit.close();
+    assert_eq!(with, simulate(0..12, |_, _| ()), "the simulation came out another way");
+    let (stats, rows) = (lit.stats(), rows(out));
+    assert_eq!(rows.iter().map(|r| r.step).collect::<Vec<_>>(), Vec::from_iter(0..12));
+    let lost = rows.iter().filter(|r| !r.lost.is_empty()).count() as u64;
+    assert_eq!((stats.pushed, stats.lit, stats.lost, stats.waiting), (12, 12 - lost, lost, 0), "{stats:?}");
+    rows
+}
+
+fn lost(rows: &[LedgerRow]) -> Vec<u64> {
+    rows.iter().filter(|r| !r.lost.is_empty()).map(|r| r.step).collect()
+}
+
+#[test]
+fn a_folder_that_becomes_unwritable_costs_the_steps_in_between() {
+    let out = tempfile::tempdir().unwrap();
+    let frames = out.path().join("frames");
+    let rows = survives(InSitu::with(scene(out.path(), &["frames/f_{step:03}.png"])), out.path(), |step| match step {
+        4 => {
+            std::fs::rename(&frames, out.path().join("moved")).unwrap();
+            std::fs::write(&frames, "in the way").unwrap();
+        }
+        7 => {
+            std::fs::remove_file(&frames).unwrap();
+            std::fs::rename(out.path().join("moved"), &frames).unwrap();
+        }
+        _ => {}
+    });
+    assert_eq!(lost(&rows), [4, 5, 6]);
+    assert!(rows[4].lost.contains("frames"), "{}", rows[4].lost);
+    assert!(frames.join("f_011.png").exists());
+}
+
+#[test]
+fn what_cannot_be_written_from_the_start_is_told_at_once() {
+    let open = |output: &str, ledger: Option<&str>| {
+        let mut scene = Scene::parse("", "", &[]).unwrap();
+        scene.insitu.outputs = vec![output.into()];
+        scene.insitu.ledger = ledger.map(Into::into);
+        InSitu::with(scene).open().err().unwrap()
+    };
+    assert!(matches!(open("/dev/null/frames/f_{step}.png", None), Error::Io { .. }));
+    let out = tempfile::tempdir().unwrap();
+    let fine = out.path().join("f_{step}.png").to_str().unwrap().to_string();
+    assert!(matches!(open(&fine, Some("/dev/null/ledger.csv")), Error::Io { .. }));
+    assert!(matches!(open("f.png", None), Error::Format { .. }), "all steps in one file");
+    let nothing = InSitu::open("").err().unwrap().to_string();
+    assert!(nothing.contains("insitu.outputs"), "{nothing}");
+}
+
+/// NaN everywhere, infinities, other sizes, nothing at all.
+#[test]
+fn odd_steps_do_not_end_the_session() {
+    let out = tempfile::tempdir().unwrap();
+    let lit = opening(out.path()).open().unwrap();
+    let cells = SIZE.iter().product::<usize>();
+    let dense = |v: f32| vec![v; cells];
+    assert!(lit.push(0, None, &Strided::of(&dense(f32::NAN), SIZE)).is_ok());
+    assert!(lit.push(1, Some(f64::INFINITY), &Strided::of(&dense(f32::INFINITY), SIZE)).is_ok());
+    assert!(lit.push(2, None, &Strided::of(&dense(0.5), [4, 4, 4])).is_ok(), "the grid shrinks");
+    assert!(lit.push(3, None, &Strided::of(&[0.5f32; 0], [4, 0, 4])).is_err(), "a block without values");
+    assert!(lit.push(4, None, &Strided::of(&dense(0.5), SIZE)).is_ok(), "and grows again");
+    assert!(lit.push(5, None, &Strided::of(&dense(0.5), SIZE).spacing([0.5, 1.0, 2.0])).is_ok());
+    let empty = Timestep { grid: Grid::new([0, 3, 3]), ..owned(6) };
+    assert!(lit.push_owned(empty).is_err());
+    assert!(lit.push(7, None, &Strided::of(&[7u8; 27], [3; 3])).is_ok(), "few values");
+    let stats = lit.close().unwrap();
+    assert_eq!((stats.pushed, stats.lit, stats.lost), (8, 6, 2), "{stats:?}");
+    let rows = rows(out.path());
+    assert_eq!(lost(&rows), [3, 6]);
+    assert_eq!((rows[0].holes, rows[1].holes), (cells as u64, cells as u64));
+    assert!(rows[2].start == "cold" && rows[4].start == "cold");
+    let sky = |step: u64| image::open(out.path().join(format!("f_{step:03}.png"))).unwrap().to_rgb8().into_raw();
+    assert!(sky(0) == sky(1) && sky(0).iter().all(|v| *v == sky(0)[0]), "nothing to see");
+    assert!(sky(4) != sky(0));
+}
+
+#[test]
+fn pushes_from_several_threads_all_arrive() {
+    let out = tempfile::tempdir().unwrap();
+    let lit = opening(out.path()).open().unwrap();
+    std::thread::scope(|scope| {
+        for thread in 0..4 {
+            let lit = &lit;
+            scope.spawn(move || {
+                for n in 0..8 {
+                    let (step, values) = (10 * thread + n, values(n));
+                    if n % 2 == 0 {
+                        lit.push(step, None, &Strided::of(&values, SIZE)).unwrap();
+                    } else {
+                        lit.push_owned(owned(step)).unwrap();
+                    }
+                }
+            });
+        }
+    });
+    assert_eq!(lit.close().unwrap().lit, 32);
+    let expected: Vec<u64> = (0..4).flat_map(|t| 10 * t..10 * t + 8).collect();
+    assert_eq!(rows(out.path()).iter().map(|r| r.step).collect::<Vec<_>>(), expected);
+}
+
+/// Runs one of the ignored tests below in a process of its own, started through a shell.
+fn alone(name: &str, out: &Path, shell: &str) -> std::process::Command {
+    let mut command = std::process::Command::new("sh");
+    command.arg("-c").arg(shell).arg("sh").arg(std::env::current_exe().unwrap());
+    command.args(["--ignored", "--exact", "--nocapture", name]).env("GLOAMING_TEST_OUT", out);
+    command
+}
+
+fn out_of_parent() -> std::path::PathBuf {
+    std::env::var_os("GLOAMING_TEST_OUT").expect("run by another test").into()
+}
+
+/// A file system of 96 KiB where one can be mounted, by root or in a name space of one's own; else files of at most 1 KiB.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_costs_the_steps_that_do_not_fit() {
+    let out = tempfile::tempdir().unwrap();
+    let mount = r#"mount -t tmpfs -o size=96k none "$GLOAMING_TEST_OUT""#;
+    let possible = |how: &str| alone("", out.path(), how).output().unwrap().status.success();
+    let shell = if possible(&format!("unshare -rm sh -c '{mount}'")) {
+        format!("exec unshare -rm sh -c '{mount} && exec \"$@\"' sh \"$@\"")
+    } else if possible(&format!("unshare -m sh -c '{mount}'")) {
+        format!("exec unshare -m sh -c '{mount} && exec \"$@\"' sh \"$@\"")
+    } else {
+        "trap '' XFSZ; ulimit -f 2; exec \"$@\"".into()
+    };
+    let limited = shell.starts_with("trap");
+    let run =
+        alone("disk_full", out.path(), &shell).env("GLOAMING_TEST_LIMITED", limited.to_string()).output().unwrap();
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{}{said}", String::from_utf8_lossy(&run.stdout));
+    assert!(said.contains("lost: ") && (said.contains("No space left") || said.contains("too large")), "{said}");
+}
+
+#[test]
+#[ignore = "run by a_full_disk_costs_the_steps_that_do_not_fit"]
+fn disk_full() {
+    let out = out_of_parent();
+    let limited = std::env::var("GLOAMING_TEST_LIMITED").unwrap() == "true";
+    let mut scene = scene(&out, &["f_{step:03}.png", "f_{step:03}.exr", "movie.mp4"]);
+    (scene.render.size, scene.render.background) = ([64, 48], [0.2; 3]);
+    let lit = InSitu::with(scene).open().unwrap();
+    let frames = || std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().path()).filter(|p| p.extension().is_some());
+    let mut all_lost = false;
+    let hash = simulate(0..60, |step, values| {
+        lit.push(step, None, &Strided::of(values, SIZE)).unwrap();
+        lit.flush().unwrap();
+        if step == 50 {
+            all_lost = lit.stats().lost > 0;
+            // Somebody makes room.
+            let pictures = frames().filter(|p| p.extension().is_some_and(|e| e == "png" || e == "exr"));
+            pictures.for_each(|p| std::fs::remove_file(p).unwrap());
+        }
+    });
+    assert_eq!(hash, simulate(0..60, |_, _| ()));
+    let lit_before = lit.stats().lit;
+    let closed = lit.close();
+    let stats = lit.stats();
+    assert!(all_lost && stats.lost > 0 && stats.lit + stats.lost == 60, "{stats:?}, {closed:?}");
+    for path in frames().filter(|p| p.extension().is_some_and(|e| e == "png")) {
+        image::open(&path).unwrap_or_else(|e| panic!("{} is not whole: {e}", path.display()));
+    }
+    for path in frames().filter(|p| p.extension().is_some_and(|e| e == "exr")) {
+        gloaming::sink::exr::read(&path).unwrap();
+    }
+    assert!(!frames().any(|p| p.file_name().is_some_and(|n| n.to_string_lossy().starts_with(".gloaming"))));
+    if !limited {
+        let rows = rows(&out);
+        assert_eq!(rows.len(), 60, "rows that found no room were written when there was some");
+        assert!(rows[51].lost.is_empty() && lit_before > 0, "it goes on where there is room: {:?}", rows[51]);
+        assert!(std::fs::metadata(out.join("movie.mp4")).unwrap().len() > 1000);
+    }
+}
+
+/// Frames that are there are whole, and so is the ledger, whenever the process is killed.
+#[test]
+#[cfg(unix)]
+fn a_killed_process_leaves_whole_frames() {
+    let out = tempfile::tempdir().unwrap();
+    let mut child = alone("killed", out.path(), r#"exec "$@""#)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    while !out.path().join("f_000005.png").exists() {
+        assert!(std::time::Instant::now() < deadline, "no frame came");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let mut whole = 0;
+    for entry in std::fs::read_dir(out.path()).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if name.starts_with("f_") {
+            assert_eq!(image::open(&path).unwrap().to_rgb8().dimensions(), (640, 480), "{name}");
+            whole += 1;
+        }
+    }
+    let rows = rows(out.path()).len();
+    assert!(whole >= 6 && (whole - 1..=whole).contains(&rows), "{whole} frames, {rows} rows");
+    assert!(std::fs::metadata(out.path().join("movie.partial.mp4")).unwrap().len() > 1000);
+}
+
+#[test]
+#[ignore = "run by a_killed_process_leaves_whole_frames"]
+fn killed() {
+    let mut scene = scene(&out_of_parent(), &["f_{step:06}.png", "movie.mp4"]);
+    scene.render.size = [640, 480];
+    let lit = InSitu::with(scene).open().unwrap();
+    simulate(0..1_000_000, |step, values| {
+        lit.push(step, None, &Strided::of(values, SIZE)).unwrap();
+    });
+}
+
+/// 10 000 pushes of 32³ leave no memory, thread or file behind; threads are as many as were asked for, on the cores that were
+/// asked for.
+#[test]
+#[cfg(target_os = "linux")]
+fn ten_thousand_pushes_leave_nothing_behind() {
+    let out = tempfile::tempdir().unwrap();
+    let run = alone("leaks", out.path(), r#"exec "$@""#).output().unwrap();
+    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    assert!(run.status.success(), "{}{}", said(&run.stdout), said(&run.stderr));
+}
+
+#[test]
+#[ignore = "run by ten_thousand_pushes_leave_nothing_behind"]
+#[cfg(target_os = "linux")]
+fn leaks() {
+    let resident = || {
+        let text = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = text.lines().find(|l| l.starts_with("VmRSS")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<i64>().unwrap()
+    };
+    let count = |what: &str| std::fs::read_dir(format!("/proc/self/{what}")).unwrap().count();
+    let (threads, files) = (count("task"), count("fd"));
+    let out = out_of_parent();
+    let mut scene = scene(&out, &[]);
+    (scene.light.direct_resolution, scene.light.scattering, scene.render.size) = (8.0, false, [8, 8]);
+    (scene.insitu.threads, scene.insitu.cores) = (2, vec![0]);
+    let lit = InSitu::with(scene).sink(Box::new(Panics(u64::MAX))).open().unwrap();
+    let values: Vec<f32> = (0..32 * 32 * 32).map(|i| (i % 97) as f32 / 97.0).collect();
+    let mut after_a_hundred = 0;
+    for step in 0..10_000 {
+        lit.push(step, None, &Strided::of(&values, [32; 3])).unwrap();
+        if step == 100 {
+            lit.flush().unwrap();
+            after_a_hundred = resident();
+            let mut ours = vec![];
+            for task in std::fs::read_dir("/proc/self/task").unwrap() {
+                let read = |file: &str| std::fs::read_to_string(task.as_ref().unwrap().path().join(file)).unwrap();
+                let (name, status) = (read("comm"), read("status"));
+                if name.starts_with("gloaming") {
+                    ours.push(name.trim().to_string());
+                    assert!(
+                        status.lines().any(|l| l.starts_with("Cpus_allowed_list") && l.ends_with("\t0")),
+                        "{status}"
+                    );
+                }
+            }
+            ours.sort();
+            assert_eq!(ours, ["gloaming-0", "gloaming-1", "gloaming-light", "gloaming-write"]);
+            assert_eq!(count("task"), threads + 4, "no pool but ours");
+        }
+    }
+    lit.flush().unwrap();
+    let grown = resident() - after_a_hundred;
+    assert_eq!(lit.close().unwrap().lit, 10_000);
+    // 8 bytes for each step's number, which the ledger needs to find one that is done again, and an allocator's whims.
+    assert!(grown < 1024, "grown by {grown} KiB");
+    drop(lit);
+    // Rayon does not wait for the threads of a pool that is dropped.
+    for _ in 0..200 {
+        if count("task") == threads {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    assert_eq!((count("task"), count("fd")), (threads, files));
+}

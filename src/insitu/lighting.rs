@@ -67,20 +67,14 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     let Opening { scene, device, mut sinks } = opening;
     let keys = scene.insitu.clone();
     scene.validate()?;
-    for (key, asked) in [("light_change", keys.light_change.is_some()), ("light_state", keys.light_state.is_some())] {
-        if asked {
-            return Err(Error::Unsupported(format!("insitu.{key}: not in this version")));
-        }
+    if keys.light_state.is_some() {
+        return Err(Error::Unsupported("insitu.light_state: not in this version".into()));
     }
     if keys.outputs.is_empty() && sinks.is_empty() && keys.ledger.is_none() {
         return Err(Error::scene("insitu.outputs", "nothing would be written: give outputs = [\"movie.mp4\"], say"));
     }
     let threads = if keys.threads == 0 { keys.cores.len() } else { keys.threads };
     stay_on(&keys)?;
-    let device = match device {
-        Some(device) => device,
-        None => device::open(&keys.device, threads)?,
-    };
     let field = scene.field.name.clone().unwrap_or_default();
     // Sinks given by the program are not asked: nobody knows whether what they made last time is still there.
     let resumable = keys.resume && sinks.is_empty();
@@ -92,9 +86,15 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
         Some(path) => Some(Ledger::create(path)?),
         None => None,
     };
+    // Last: what is wrong with the settings is found before a driver is loaded.
+    let device = match device {
+        Some(device) => device,
+        None => device::open(&keys.device, threads)?,
+    };
     let wants_light = all.iter().any(|s| s.wants_light());
     let on_cpu = on_cpu(&*device);
-    let session = Session::new(device, scene, None, wants_light)?;
+    let mut session = Session::new(device, scene, None, wants_light)?;
+    keys.light_change.into_iter().for_each(|change| session.only_when_light_changes(change));
     let writing = Writing::new(all, ledger, queue.clone());
     Ok((Lighting { session, queue, threads, on_cpu, complete }, writing))
 }
@@ -158,7 +158,8 @@ impl Lighting {
         Some(match lit {
             Ok(mut output) => {
                 output.row = LedgerRow { held_ms, queue_depth, drops, bytes, ..output.row };
-                Handed::Lit(Box::new(output))
+                let nothing = output.frames.is_empty() && output.light.is_none();
+                if nothing { Handed::Unchanged(output.row) } else { Handed::Lit(Box::new(output)) }
             }
             Err(e) => Handed::Lost(LedgerRow { lost: e.to_string(), ..pushed }),
         })

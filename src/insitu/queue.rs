@@ -25,7 +25,7 @@ pub struct Stats {
     pub lost: u64,
     /// Steps dropped because the queue was full.
     pub dropped: u64,
-    /// Steps that no trigger asked for, and complete ones when resuming.
+    /// Steps that no trigger asked for, whose light had not changed enough, or that were complete when resuming.
     pub skipped: u64,
     /// Steps waiting, being lit or being written.
     pub waiting: u64,
@@ -64,6 +64,17 @@ pub(super) enum Next {
     /// Rows of steps that never got so far.
     Note(Vec<LedgerRow>),
     End,
+}
+
+/// What a row in the ledger stands for.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Became {
+    /// A step written, or lost on the way.
+    Written,
+    /// A step whose light had not changed enough.
+    Skipped,
+    /// A step that was counted before: dropped or refused.
+    Counted,
 }
 
 pub(super) struct Queue {
@@ -247,14 +258,15 @@ impl Queue {
         }
     }
 
-    /// A step has been lit, and written or lost; `note` for one that has been counted before.
-    pub fn finished(&self, row: &LedgerRow, note: bool) {
+    /// The writer is done with a row.
+    pub fn finished(&self, row: &LedgerRow, became: Became) {
         let mut state = self.lock();
         state.unfinished -= 1;
-        match (note, row.lost.is_empty()) {
-            (true, _) => {}
-            (false, true) => state.stats.lit += 1,
-            (false, false) => {
+        match became {
+            Became::Counted => {}
+            Became::Skipped => state.stats.skipped += 1,
+            Became::Written if row.lost.is_empty() => state.stats.lit += 1,
+            Became::Written => {
                 state.stats.lost += 1;
                 state.stats.last_loss = Some((row.step, row.lost.clone()));
             }
@@ -262,7 +274,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// A step was found complete, or its light unchanged: nothing is written.
+    /// A step was found complete: nothing is written.
     pub fn passed_over(&self) {
         let mut state = self.lock();
         state.unfinished -= 1;

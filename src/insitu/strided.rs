@@ -174,12 +174,8 @@ impl<B: AsRef<[u8]>> Strided<B> {
     /// Reads a region of the shown values in (z, y, x) order; the block has been checked.
     fn gather<T: Copy + Send>(&self, region: Region, out: &mut [T], narrow: impl Fn(f64) -> T + Copy) {
         let bytes = self.bytes.as_ref();
-        let at = |i: usize, j: usize, k: usize| {
-            let index = [i, j, k];
-            let offset: isize =
-                (0..3).map(|a| (self.region.start[a] + region.start[a] + index[a]) as isize * self.strides[a]).sum();
-            self.first.wrapping_add_signed(offset)
-        };
+        let [i0, j0, k0] = region.start;
+        let at = |i: usize, j: usize, k: usize| self.at([i0 + i, j0 + j, k0 + k]);
         let [nx, ny, nz] = region.size;
         let strides = self.strides.map(isize::unsigned_abs);
         if strides[0] <= strides[1].min(strides[2]) || nx == 1 {
@@ -213,17 +209,31 @@ impl<B: AsRef<[u8]>> Strided<B> {
         if !dense || self.dtype != Dtype::native(Kind::F32) {
             return None;
         }
-        let offset: isize = (0..3).map(|a| self.region.start[a] as isize * self.strides[a]).sum();
-        let from = self.first.wrapping_add_signed(offset);
+        let from = self.at([0; 3]);
         self.bytes.as_ref().get(from..from + 4 * self.region.len())
     }
 
     /// Copies the shown values; the block has been checked.
     pub(super) fn copy_to(&self, out: &mut [f32]) {
-        match self.plain() {
-            Some(bytes) => bytemuck::cast_slice_mut(out).copy_from_slice(bytes),
-            None => self.gather(Region { start: [0; 3], size: self.region.size }, out, |v| v as f32),
+        let rows = self.region.size[1] * self.region.size[2];
+        if let Some(bytes) = self.plain() {
+            bytemuck::cast_slice_mut(out).copy_from_slice(bytes);
+        } else if self.dtype == Dtype::native(Kind::F32) && self.strides[0] == 4 {
+            let bytes = self.bytes.as_ref();
+            let length = 4 * self.region.size[0];
+            for (row, out) in (0..rows).zip(bytemuck::cast_slice_mut(out).chunks_exact_mut(length)) {
+                let from = self.at([0, row % self.region.size[1], row / self.region.size[1]]);
+                out.copy_from_slice(&bytes[from..from + length]);
+            }
+        } else {
+            self.gather(Region { start: [0; 3], size: self.region.size }, out, |v| v as f32);
         }
+    }
+
+    /// Where a shown value begins.
+    fn at(&self, index: [usize; 3]) -> usize {
+        let offset: isize = (0..3).map(|a| (self.region.start[a] + index[a]) as isize * self.strides[a]).sum();
+        self.first.wrapping_add_signed(offset)
     }
 }
 

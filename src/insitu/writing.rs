@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crossbeam_channel::Receiver;
 
-use super::queue::Queue;
+use super::queue::{Became, Queue};
 use super::{panic_text, say};
 use crate::error::{Error, Result};
 use crate::ledger::{Ledger, LedgerRow};
@@ -17,6 +17,8 @@ pub(super) enum Handed {
     Lit(Box<Output>),
     /// A step that could not be lit.
     Lost(LedgerRow),
+    /// A step that was lit but not rendered: its light is that of the last one that was.
+    Unchanged(LedgerRow),
     /// A step that was dropped or refused, which has been said and counted.
     Note(LedgerRow),
 }
@@ -39,17 +41,18 @@ impl Writing {
     /// Writes until nothing more comes, then closes every file. What could not be closed is the result.
     pub fn run(mut self, from: &Receiver<Handed>) -> Result<()> {
         for handed in from {
-            let (row, note) = match handed {
-                Handed::Lit(output) => (self.write(*output), false),
-                Handed::Lost(row) => (row, false),
-                Handed::Note(row) => (row, true),
+            let (row, became) = match handed {
+                Handed::Lit(output) => (self.write(*output), Became::Written),
+                Handed::Lost(row) => (row, Became::Written),
+                Handed::Unchanged(row) => (row, Became::Skipped),
+                Handed::Note(row) => (row, Became::Counted),
             };
-            if !note && !row.lost.is_empty() {
+            if became == Became::Written && !row.lost.is_empty() {
                 self.say_lost(&row);
             }
             self.unwritten.push(row.clone());
             self.keep();
-            self.queue.finished(&row, note);
+            self.queue.finished(&row, became);
         }
         let mut outcome = Ok(());
         for sink in &mut self.sinks {

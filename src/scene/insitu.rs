@@ -28,7 +28,8 @@ pub struct InSituKeys {
     /// Takes the first step in each interval of this much simulation time.
     pub every_time: Option<f64>,
     /// Renders and writes a step only when the light has changed by more than this since the last one that was, anywhere,
-    /// relative to the brightest light.
+    /// relative to the brightest light. Choose it above `light.tolerance`: within that, the light of a medium at rest still
+    /// gets better.
     pub light_change: Option<f64>,
     /// Skips steps whose files are all there, and continues the ledger.
     pub resume: bool,

@@ -12,7 +12,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Seek, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
@@ -143,11 +143,24 @@ struct Movie {
     size: [u32; 2],
     fps: f64,
     encoder: Encoder,
-    /// Encoded frames, and whether each is a keyframe. A movie is small beside the volumes it was made of.
-    frames: Vec<(Vec<u8>, bool)>,
+    frames: Vec<Encoded>,
     fragments: Option<Fragments>,
     /// The picture of the step in hand, while it is not known how long it stays.
     held: Option<RgbImage>,
+}
+
+/// An encoded frame.
+struct Encoded {
+    keyframe: bool,
+    bytes: Place,
+}
+
+/// Where an encoded frame is: a simulation may run for weeks, and its movie must not fill the memory.
+enum Place {
+    /// In the fragments, as length-prefixed units.
+    File { at: u64, length: usize },
+    /// In memory as the encoder gave it, until its fragment is on disk.
+    Memory(Vec<u8>),
 }
 
 impl Movie {
@@ -211,12 +224,16 @@ impl Movie {
         let fragments = self.fragments.as_mut().expect("made above");
         let added = fragments.add(&bytes, keyframe);
         // In memory the frame is safe even when the disk was full for its fragment.
-        self.frames.push((bytes, keyframe));
-        added
+        self.frames.push(Encoded { keyframe, bytes: Place::Memory(bytes) });
+        let latest = self.frames.iter_mut().rev();
+        for (frame, (at, length)) in latest.zip(added?.into_iter().rev()) {
+            frame.bytes = Place::File { at, length };
+        }
+        Ok(())
     }
 
     fn finish(self) -> Result<()> {
-        let Some(fragments) = self.fragments else { return Ok(()) };
+        let Some(mut fragments) = self.fragments else { return Ok(()) };
         let packed = write_whole(&self.path, |file| {
             let [w, h] = fragments.size;
             let failed = |e: MuxerError| match e {
@@ -224,7 +241,11 @@ impl Movie {
                 e => encoding(&self.path, &e.to_string()),
             };
             let mut muxer = MuxerBuilder::new(file).video(VideoCodec::H264, w, h, self.fps).build().map_err(failed)?;
-            for (n, (bytes, keyframe)) in self.frames.into_iter().enumerate() {
+            for (n, Encoded { keyframe, bytes }) in self.frames.into_iter().enumerate() {
+                let bytes = match bytes {
+                    Place::Memory(bytes) => bytes,
+                    Place::File { at, length } => fragments.read(at, length)?,
+                };
                 muxer.write_video(n as f64 / self.fps, &bytes, keyframe).map_err(failed)?;
             }
             muxer.finish().map_err(failed)
@@ -250,6 +271,8 @@ struct Fragments {
     added: u64,
     /// Frames in the file.
     written: u64,
+    /// Lengths of the frames that are not, as they will be there.
+    waiting: Vec<usize>,
     /// A write failed: what would follow has no place.
     broken: bool,
 }
@@ -267,28 +290,31 @@ impl Fragments {
         let mut muxer = FragmentedMuxer::new(config).map_err(|e| encoding(movie, &e.to_string()))?;
         let folder = folder_of(&path);
         std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, e))?;
-        let mut file = File::create(&path).map_err(|e| Error::io(&path, e))?;
+        let file = File::options().create(true).truncate(true).read(true).write(true).open(&path);
+        let mut file = file.map_err(|e| Error::io(&path, e))?;
         if let Err(e) = file.write_all(&muxer.init_segment()) {
             let _ = std::fs::remove_file(&path);
             return Err(Error::io(path, e));
         }
-        Ok(Fragments { path, size, file, muxer, added: 0, written: 0, broken: false })
+        Ok(Fragments { path, size, file, muxer, added: 0, written: 0, waiting: vec![], broken: false })
     }
 
-    fn add(&mut self, bytes: &[u8], keyframe: bool) -> Result<()> {
+    /// Adds a frame. Where this completes a fragment: the places of its frames in the file.
+    fn add(&mut self, bytes: &[u8], keyframe: bool) -> Result<Vec<(u64, usize)>> {
         let at = self.added * Self::TICKS;
-        self.muxer
-            .write_video(at, at, &annexb_to_avcc(bytes), keyframe)
-            .map_err(|e| encoding(&self.path, &e.to_string()))?;
+        let units = annexb_to_avcc(bytes);
+        self.muxer.write_video(at, at, &units, keyframe).map_err(|e| encoding(&self.path, &e.to_string()))?;
         self.added += 1;
+        self.waiting.push(units.len());
         // The muxer takes a frame's duration from the next one's time: a fragment needs two.
-        if self.added - self.written >= 2 { self.flush() } else { Ok(()) }
+        if self.added - self.written >= 2 { self.flush() } else { Ok(vec![]) }
     }
 
-    fn flush(&mut self) -> Result<()> {
-        let Some(segment) = self.muxer.flush_segment() else { return Ok(()) };
+    fn flush(&mut self) -> Result<Vec<(u64, usize)>> {
+        let Some(segment) = self.muxer.flush_segment() else { return Ok(vec![]) };
+        let lengths = std::mem::take(&mut self.waiting);
         if self.broken {
-            return Ok(());
+            return Ok(vec![]);
         }
         let at = self.file.stream_position().map_err(|e| Error::io(&self.path, e))?;
         if let Err(e) = self.file.write_all(&segment) {
@@ -298,7 +324,27 @@ impl Fragments {
             return Err(Error::io(&self.path, e));
         }
         self.written = self.added;
-        Ok(())
+        // A fragment ends with its frames, one after the other.
+        let mut from = at + segment.len() as u64 - lengths.iter().sum::<usize>() as u64;
+        let place = |length| {
+            from += length as u64;
+            (from - length as u64, length)
+        };
+        Ok(lengths.into_iter().map(place).collect())
+    }
+
+    /// A frame from the file, as the encoder gave it.
+    fn read(&mut self, at: u64, length: usize) -> Result<Vec<u8>> {
+        let mut bytes = vec![0; length];
+        let read = self.file.seek(SeekFrom::Start(at)).and_then(|_| self.file.read_exact(&mut bytes));
+        read.map_err(|e| Error::io(&self.path, e))?;
+        let mut unit = 0;
+        while let Some(prefix) = bytes.get_mut(unit..unit + 4) {
+            let length = u32::from_be_bytes([prefix[0], prefix[1], prefix[2], prefix[3]]);
+            prefix.copy_from_slice(&[0, 0, 0, 1]);
+            unit += 4 + length as usize;
+        }
+        Ok(bytes)
     }
 
     fn remove(self) -> Result<()> {
@@ -307,7 +353,8 @@ impl Fragments {
 
     /// Makes the fragments the movie, because packing failed for `reason`.
     fn keep(mut self, movie: &Path, reason: Error) -> Result<()> {
-        let flushed = self.flush();
+        // Reading has moved the place at which the last frame goes.
+        let flushed = self.file.seek(SeekFrom::End(0)).map_err(|e| Error::io(&self.path, e)).and_then(|_| self.flush());
         if self.written == 0 {
             self.remove()?;
             return Err(reason);
