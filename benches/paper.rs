@@ -5,7 +5,6 @@ mod common;
 use std::sync::Arc;
 
 use glam::Vec3;
-use gloaming::Grid;
 use gloaming::device::Device;
 use gloaming::device::convection::{Convection, Layers, Opacity, Start};
 use gloaming::device::cpu::Cpu;
@@ -14,6 +13,7 @@ use gloaming::light::{LightSolver, LightVolume};
 use gloaming::medium::Medium;
 use gloaming::scene::Scene;
 use gloaming::transfer::TransferFunction;
+use gloaming::{BrickLayout, Grid};
 
 fn main() {
     let cpu = Cpu::new(0).expect("threads");
@@ -93,6 +93,9 @@ fn convection(cpu: &Cpu, grid: &Grid, once: f64) {
     {
         let light = Convection::distant(grid, u.normalize(), opacity);
         let layers = Layers { iterations: 5, tolerance: 0.0, start: Start::Upstream };
+        let layout = BrickLayout::new(grid.size, BrickLayout::EDGE);
+        let fronts = light.fronts(&layout);
+        let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
         let report = |what: &str, seconds: f64| {
             println!(
                 "convection {}³ along {name}, {what:20}: {:7.2} ms, {:5.2} times a copy",
@@ -116,7 +119,7 @@ fn convection(cpu: &Cpu, grid: &Grid, once: f64) {
         report(
             "ordered",
             common::best(7, || {
-                cpu.convect_ordered(&light, &sigma, &mut rho).expect("convection");
+                cpu.convect_ordered(&light, &layout, &sigma, &mut rho, &fronts).expect("convection");
             }),
         );
     }

@@ -38,7 +38,10 @@ struct Params {
 @group(0) @binding(4) var<storage, read_write> other: array<f32>;
 @group(0) @binding(5) var<storage, read_write> errors: array<f32>;
 @group(0) @binding(6) var<storage, read_write> report: array<atomic<u32>, 4>;
-// Number of the front.
+// Bricks of ordered convection that are not the whole grid.
+@group(0) @binding(7) var<storage, read> bricks: array<u32>;
+@group(0) @binding(8) var<storage, read_write> changes: array<f32>;
+// Number of the front; for bricks the first of them in the list.
 var<immediate> front: u32;
 
 fn gaussian(at: vec3<f32>) -> f32 {
@@ -147,6 +150,43 @@ fn ordered(@builtin(global_invocation_id) id: vec3<u32>) {
         let i = start.x + side * left;
         if i >= 0 && i < i32(params.size.x) { solve(vec3(u32(i), id.xy)); }
     }
+}
+
+fn at_end(p: vec3<u32>, start: vec3<u32>, end: vec3<u32>) -> bool {
+    let last = select(start, end - 1u, vec3<i32>(start) >= params.centre);
+    return any(p == last);
+}
+
+// One workgroup per brick of a front: its parts on the sides of the light's planes, those above first, each in steps
+// downstream of its first voxel.
+@compute @workgroup_size(256)
+fn brick_by_brick(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let number = bricks[front + group.x];
+    let b = brick(params.size, params.strip, number);
+    let cut = vec3<u32>(clamp(params.centre, vec3<i32>(b.start), vec3<i32>(b.end)));
+    var change = 0.0;
+    for (var part = 0u; part < 8u; part++) {
+        let below = vec3(part & 1u, part / 2u & 1u, part / 4u) == vec3(1u);
+        let start = select(cut, b.start, below);
+        let end = select(b.end, cut, below);
+        let extent = end - start;
+        if any(extent == vec3(0u)) { continue; }
+        for (var step = 0u; step < extent.x + extent.y + extent.z - 2u; step++) {
+            for (var v = lane; v < extent.y * extent.z; v += LANES) {
+                let q = vec2(v % extent.y, v / extent.y);
+                if q.x + q.y > step || step - q.x - q.y >= extent.x { continue; }
+                let l = vec3(step - q.x - q.y, q);
+                let p = select(start + l, end - 1u - l, below);
+                let here = index(params.size, p);
+                let earlier = rho[here];
+                solve(p);
+                if at_end(p, start, end) { change = max(change, abs(rho[here] - earlier)); }
+            }
+            storageBarrier();
+        }
+    }
+    let most = reduce(lane, change);
+    if lane == 0u { changes[number] = most; }
 }
 
 const LANES: u32 = 256u;

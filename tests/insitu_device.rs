@@ -103,7 +103,14 @@ impl Device for Faulty {
     fn convect_whole(&self, _: &Convection, _: &Buffer, _: &Buffer, _: &mut Buffer) -> Result<f32> {
         unreachable!()
     }
-    fn convect_ordered(&self, _: &Convection, _: &Buffer, _: &mut Buffer) -> Result<()> {
+    fn convect_ordered(
+        &self,
+        _: &Convection,
+        _: &BrickLayout,
+        _: &Buffer,
+        _: &mut Buffer,
+        _: &[&[u32]],
+    ) -> Result<Vec<f32>> {
         unreachable!()
     }
     fn spread(&self, _: [usize; 3], _: &Spread, _: &Buffer, _: &mut Buffer) -> Result<()> {

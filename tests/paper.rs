@@ -1,10 +1,10 @@
 //! The paper's model (Zhang & Ma 2013): known answers of convection, (6)–(21).
 
 use glam::{DVec3, Vec3};
-use gloaming::Grid;
 use gloaming::device::convection::{Convected, Convection, Layers, Opacity, Rays, Start};
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device};
+use gloaming::{BrickLayout, Grid};
 
 fn cpu() -> &'static Cpu {
     static CPU: std::sync::OnceLock<Cpu> = std::sync::OnceLock::new();
@@ -34,8 +34,19 @@ fn layers(light: &Convection, pass: Layers, sigma: &[f32], before: &[f32]) -> (V
 }
 
 fn ordered(light: &Convection, sigma: &[f32]) -> Vec<f32> {
+    in_bricks(cpu(), light, sigma, 16, 0)
+}
+
+/// Ordered convection brick by brick, the last `apart` fronts in a call of their own, so that the device sees a part of the bricks.
+fn in_bricks(device: &Cpu, light: &Convection, sigma: &[f32], edge: usize, apart: usize) -> Vec<f32> {
+    let layout = BrickLayout::new(light.size, edge);
+    let fronts = light.fronts(&layout);
+    let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
     let mut rho = upload(&vec![f32::NAN; sigma.len()]);
-    cpu().convect_ordered(light, &upload(sigma), &mut rho).unwrap();
+    let (some, rest) = fronts.split_at(fronts.len() - apart);
+    for fronts in [some, rest] {
+        device.convect_ordered(light, &layout, &upload(sigma), &mut rho, fronts).unwrap();
+    }
     download(&rho)
 }
 
@@ -291,8 +302,22 @@ fn threads_do_not_matter() {
         let alone = one.convect_layers(&light, pass, &upload(&sigma), &upload(&before), &mut rho).unwrap();
         assert_eq!(done, alone);
         assert_eq!(two, download(&rho));
-        one.convect_ordered(&light, &upload(&sigma), &mut rho).unwrap();
-        assert_eq!(ordered(&light, &sigma), download(&rho));
+        assert_eq!(ordered(&light, &sigma), in_bricks(&one, &light, &sigma, 16, 0));
+    }
+}
+
+/// validation.md 16: bricks of any size, or none, give the same light bit for bit; a light on a corner of bricks too.
+#[test]
+fn bricks_do_not_matter() {
+    let grid = uneven();
+    let sigma = medium(&grid);
+    let far = distant_lights().into_iter().map(|u| Convection::distant(&grid, u, CALIBRATED));
+    let near = places().into_iter().chain([[8.0, 16.0, 8.0], [7.5, 15.5, 7.5]]);
+    for light in far.chain(near.map(|p| from_place(&grid, p, Some(20.0), LITERAL))) {
+        let whole = ordered(&light, &sigma);
+        for (edge, apart) in [(4, 1), (8, 2), (5, 3), (64, 0)] {
+            assert_eq!(whole, in_bricks(cpu(), &light, &sigma, edge, apart), "bricks of {edge}, {light:?}");
+        }
     }
 }
 

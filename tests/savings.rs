@@ -109,6 +109,22 @@ fn a_change_in_a_corner_is_cheaper_than_the_box_and_exact_at_tolerance_zero() {
     assert!(found.ratio.bricks_active > 1.5, "{:?}", found.ratio);
 }
 
+/// The paper's model goes to the same certified tolerance either way, whatever the scene's iterations.
+#[test]
+fn the_papers_model_is_measured_too() {
+    for method in ["layers", "ordered"] {
+        let method = format!("light.convection={method}");
+        let found = measure(&Made::ball(3, 0.2), &["light.model=paper", "light.iterations=1", &method]);
+        for s in &found.steps {
+            assert!(s.warm.true_error <= s.warm.certified_error + f64::from(found.tight_tolerance), "{s:?}");
+            assert!(s.warm.certified_error <= f64::from(found.tolerance), "{s:?}");
+            assert!(s.cold.certified_error <= f64::from(found.tolerance), "{s:?}");
+        }
+        let still = measure(&Made::ball(2, 0.0), &["light.model=paper", &method]);
+        assert_eq!(still.steps[1].warm.voxel_updates, 32 * 32 * 32, "one look for change");
+    }
+}
+
 #[test]
 fn the_report_needs_no_other_file() {
     let folder = tempfile::tempdir().unwrap();

@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use crate::grid::{BrickLayout, Grid};
+use crate::grid::{BrickLayout, Grid, Region};
 
 /// One light on one grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -201,45 +201,82 @@ impl Convection {
         [[1, 2, 0], [0, 2, 1], [0, 1, 2]][self.axis()]
     }
 
-    /// Boxes in an order such that every voxel's upstream neighbours come first: groups whose boxes are independent of one
-    /// another, each box on one side of the light's planes. Boxes have edges of at most `edge`.
-    pub fn fronts(&self, edge: usize) -> Vec<Vec<crate::grid::Region>> {
-        let centre = self.centre();
-        // Along each axis `(depth, start, end)`, outwards from the centre.
-        let parts: [Vec<(usize, usize, usize)>; 3] = std::array::from_fn(|a| {
-            let (n, c) = (self.size[a], centre[a]);
-            let (below, above) = (c.clamp(0, n as i32) as usize, c.clamp(0, n as i32) as usize);
-            let up = (above..n).step_by(edge).enumerate().map(|(d, start)| (d, start, (start + edge).min(n)));
-            // The centre's own layer is above: what lies below waits for it.
-            let wait = usize::from(above < n);
-            let down = (0..below.div_ceil(edge)).map(|d| {
-                let end = below - d * edge;
-                (d + wait, end.saturating_sub(edge), end)
-            });
-            up.chain(down).collect()
-        });
-        let deepest: usize = parts.iter().map(|p| p.iter().map(|b| b.0).max().unwrap_or(0)).sum();
-        let mut fronts = vec![Vec::new(); deepest + 1];
-        for z in &parts[2] {
-            for y in &parts[1] {
-                for x in &parts[0] {
-                    let size = [x.2 - x.1, y.2 - y.1, z.2 - z.1];
-                    fronts[x.0 + y.0 + z.0].push(crate::grid::Region { start: [x.1, y.1, z.1], size });
-                }
+    /// Bricks in an order such that every voxel's upstream neighbours come first: the bricks of a front are independent of
+    /// one another.
+    pub fn fronts(&self, layout: &BrickLayout) -> Vec<Vec<u32>> {
+        let mut fronts = Vec::new();
+        for b in 0..layout.len() {
+            let depth: usize = self.depth(layout, b).iter().sum();
+            if fronts.len() <= depth {
+                fronts.resize(depth + 1, Vec::new());
             }
+            fronts[depth].push(b as u32);
         }
         fronts
     }
 
-    /// [`BrickLayout::EDGE`]: edge of the boxes that ordered convection runs over.
-    pub const EDGE: usize = BrickLayout::EDGE;
+    /// Bricks between the brick where light starts and brick `b`, along each axis.
+    fn depth(&self, layout: &BrickLayout, b: usize) -> [usize; 3] {
+        let (centre, coords) = (self.centre(), layout.coords(b));
+        std::array::from_fn(|a| {
+            let start = centre[a].clamp(0, self.size[a] as i32 - 1) as usize / layout.edge;
+            coords[a].abs_diff(start)
+        })
+    }
+
+    /// The up to seven bricks that brick `b` takes light from.
+    pub fn upstream(&self, layout: &BrickLayout, b: usize) -> Vec<u32> {
+        let (centre, coords, depth) = (self.centre(), layout.coords(b), self.depth(layout, b));
+        let mut bricks = Vec::new();
+        for mask in 1..8usize {
+            if (0..3).all(|a| mask >> a & 1 == 0 || depth[a] > 0) {
+                let nearer: [usize; 3] = std::array::from_fn(|a| match mask >> a & 1 {
+                    0 => coords[a],
+                    _ if (coords[a] * layout.edge) as i32 > centre[a] => coords[a] - 1,
+                    _ => coords[a] + 1,
+                });
+                bricks.push(layout.number(nearer) as u32);
+            }
+        }
+        bricks
+    }
+
+    /// A region in parts that lie on one side of the light's planes each, in an order such that upstream comes first.
+    pub fn parts(&self, region: Region) -> Vec<Region> {
+        let centre = self.centre();
+        let sides: [Vec<(usize, usize)>; 3] = std::array::from_fn(|a| {
+            let (start, end) = (region.start[a], region.end()[a]);
+            let cut = centre[a].clamp(start as i32, end as i32) as usize;
+            // The centre's own layer is above: what lies below waits for it.
+            [(cut, end), (start, cut)].into_iter().filter(|(start, end)| start < end).collect()
+        });
+        let mut parts = Vec::new();
+        for z in &sides[2] {
+            for y in &sides[1] {
+                for x in &sides[0] {
+                    let size = [x.1 - x.0, y.1 - y.0, z.1 - z.0];
+                    parts.push(Region { start: [x.0, y.0, z.0], size });
+                }
+            }
+        }
+        parts
+    }
+
+    /// Bound on the change of ρ across a layer, per world length of extinction changed: along the dominant axis a path goes
+    /// `Δx/|u|` from layer to layer, and the literal scheme takes away at most twice what the opacity says.
+    pub fn sensitivity(&self) -> f32 {
+        match self.opacity {
+            Opacity::Calibrated { length } => length,
+            Opacity::Literal { length } => 2.0 * length,
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Every voxel is in one box, and its upstream neighbours are in the same or an earlier one.
+    /// Every voxel is in one part of one brick, and its upstream neighbours are in the same or an earlier one.
     #[test]
     fn fronts_cover_the_grid_upstream_first() {
         let grid = Grid { size: [13, 9, 11], spacing: [1.0, 0.7, 1.3], origin: [0.0; 3] };
@@ -252,15 +289,23 @@ mod tests {
             all.push(Convection::central(&grid, DVec3::from(position), None, opacity));
         }
         for convection in all {
-            let mut order = vec![usize::MAX; grid.len()];
-            for (front, boxes) in convection.fronts(4).iter().enumerate() {
-                for region in boxes {
-                    for k in region.start[2]..region.end()[2] {
-                        for j in region.start[1]..region.end()[1] {
-                            for i in region.start[0]..region.end()[0] {
-                                let at = &mut order[grid.index([i, j, k])];
-                                assert_eq!(*at, usize::MAX, "twice");
-                                *at = front;
+            let layout = BrickLayout::new(grid.size, 4);
+            let fronts = convection.fronts(&layout);
+            let mut depths = vec![0; layout.len()];
+            for (depth, front) in fronts.iter().enumerate() {
+                front.iter().for_each(|b| depths[*b as usize] = depth);
+            }
+            let (mut order, mut brick) = (vec![usize::MAX; grid.len()], vec![0; grid.len()]);
+            for (n, b) in fronts.concat().into_iter().enumerate() {
+                let upstream = convection.upstream(&layout, b as usize);
+                assert!(upstream.iter().all(|u| depths[*u as usize] < depths[b as usize]), "{convection:?}");
+                for (m, part) in convection.parts(layout.region(b as usize)).into_iter().enumerate() {
+                    for k in part.start[2]..part.end()[2] {
+                        for j in part.start[1]..part.end()[1] {
+                            for i in part.start[0]..part.end()[0] {
+                                let at = grid.index([i, j, k]);
+                                assert_eq!(order[at], usize::MAX, "twice");
+                                (order[at], brick[at]) = (8 * n + m, b);
                             }
                         }
                     }
@@ -280,6 +325,8 @@ mod tests {
                     if (0..3).all(|a| q[a] >= 0 && q[a] < grid.size[a] as i32) {
                         let up = grid.index(q.map(|v| v as usize));
                         assert!(order[up] <= order[at], "{convection:?}: {q:?} after {p:?}");
+                        let same = brick[up] == brick[at];
+                        assert!(same || convection.upstream(&layout, brick[at] as usize).contains(&brick[up]));
                     }
                 }
             }

@@ -448,8 +448,16 @@ pub trait Device: Send + Sync {
     /// One iteration (16) of every voxel at once, from `before` into `rho`; returns the largest change.
     fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32>;
 
-    /// The fixed point of convection in one pass, each voxel after its upstream neighbours: see [`convection`].
-    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()>;
+    /// The fixed point of convection over the listed bricks, front by front ([`Convection::fronts`]), each voxel after its
+    /// upstream neighbours. Returns what [`Device::sweep`] returns.
+    fn convect_ordered(
+        &self,
+        convection: &Convection,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>>;
 
     /// `out = ρ · cone · 1/r²` of a light from one place: see [`Spread`].
     fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()>;

@@ -5,7 +5,7 @@
 //! Where the paper leaves something open, this is what is done: L counts as fluence and is shaded as isotropic scattering,
 //! L/4π, so that a scene is as bright as in the physical model; an environment adds its fluence 4πL everywhere; a cone limits
 //! the emission angle where lights are composed, which is the same for rays and does not blur its edge; G(x, x_P) is
-//! `exp(−r²/2w²)`, w the key `lights.width`, else the distance from the light to the farthest corner of the box. Light from
+//! `exp(−r²/2w²)`, w the key `light.width`, else the distance from the light to the farthest corner of the box. Light from
 //! one place is always solved in one ordered pass; layers are of distant light.
 //!
 //! # What is done again (Algorithm 1)
@@ -66,9 +66,9 @@ struct Source {
 /// Extinction now and before, and scratch.
 pub(super) struct Paper {
     keys: SolverKeys,
-    /// Widths of G by the light's number in the scene.
     opacity: Opacity,
     grid: Grid,
+    layout: BrickLayout,
     sigma: [Buffer; 2],
     solved: bool,
     diffusion: Diffusion,
@@ -91,6 +91,7 @@ impl Paper {
         };
         Ok(Paper {
             diffusion: Diffusion::new(&keys, &grid),
+            layout: BrickLayout::new(grid.size, BrickLayout::EDGE),
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
             spread: vec![],
@@ -213,7 +214,7 @@ impl Paper {
         order.retain(|&n| !volume.lights[n].solved || unfinished(&volume.lights[n]));
         let budget = self.keys.budget_ms.map(|ms| Duration::from_secs_f64(ms * 1e-3));
         let in_time = || budget.is_none_or(|b| begun.elapsed() < b);
-        let boxes = BrickLayout::new(self.grid.size, Convection::EDGE).len() as u64;
+        let boxes = self.layout.len() as u64;
         report.bricks_total += count as u64 * boxes;
         report.bricks_active += order.len() as u64 * boxes;
         let moved = !order.is_empty();
@@ -279,7 +280,9 @@ impl Paper {
                 report.voxel_updates += taken * voxels;
             }
             _ => {
-                device.convect_ordered(convection, sigma, rho)?;
+                let fronts = convection.fronts(&self.layout);
+                let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+                device.convect_ordered(convection, &self.layout, sigma, rho, &fronts)?;
                 report.voxel_updates += voxels;
                 *error = 0.0;
             }

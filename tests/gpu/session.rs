@@ -39,3 +39,22 @@ fn direct_light_agrees() {
 fn scattered_light_agrees() {
     assert_same_steps(&["transfer.anisotropy=0.5", "light.tolerance=1e-3"], 2e-3);
 }
+
+/// The paper's model, with lights of all its kinds.
+#[test]
+fn the_papers_model_agrees() {
+    assert_same_steps(
+        &[
+            "light.model=paper",
+            "light.diffusion=multigrid",
+            "lights.0.kind=distant",
+            "lights.1.kind=point",
+            "lights.1.position=[40, 20, 30]",
+            "lights.2.kind=cone",
+            "lights.2.position=[90, -30, 100]",
+            "lights.2.direction=[-0.4, 0.6, -0.7]",
+        ],
+        1e-3,
+    );
+    assert_same_steps(&["light.model=paper", "light.falloff=physical", "lights.0.kind=point"], 1e-3);
+}

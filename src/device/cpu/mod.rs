@@ -179,9 +179,16 @@ impl Device for Cpu {
         Ok(self.pool.install(|| convect::whole::convect(convection, sigma, before, rho)))
     }
 
-    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
-        self.pool.install(|| convect::ordered::convect(convection, host(sigma), host_mut(rho)));
-        Ok(())
+    fn convect_ordered(
+        &self,
+        convection: &Convection,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        let (sigma, rho) = (host(sigma), host_mut(rho));
+        Ok(self.pool.install(|| convect::ordered::convect(convection, layout, sigma, rho, fronts)))
     }
 
     fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {

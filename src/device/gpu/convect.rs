@@ -10,6 +10,7 @@ use super::{Gpu, dispatch, holds, uvec3};
 use crate::device::Buffer;
 use crate::device::convection::{Convected, Convection, Layers, Opacity, Rays, Start};
 use crate::error::{Error, Result};
+use crate::grid::BrickLayout;
 
 #[derive(ShaderType)]
 pub(super) struct Params {
@@ -82,16 +83,18 @@ fn params(convection: &Convection, layers: Layers) -> Params {
     params
 }
 
-/// Runs an entry point once for each front, with `groups` workgroups.
+/// Runs an entry point once for each front, with its number and workgroups.
 fn run(
     gpu: &Gpu,
     (entry, params): (&str, Params),
     [sigma, before, rho]: [&wgpu::Buffer; 3],
     [other, errors]: [&wgpu::Buffer; 2],
-    fronts: usize,
-    groups: [usize; 3],
+    bricks: Option<[&wgpu::Buffer; 2]>,
+    fronts: &[(u32, [usize; 3])],
 ) -> Result<[u32; 4]> {
     let report = gpu.scratch(4)?;
+    let unused = [gpu.scratch(1)?, gpu.scratch(1)?];
+    let [bricks, changes] = bricks.unwrap_or(unused.each_ref());
     let kernel = gpu.kernel(&CONVECT)?;
     let bound = kernel.bind(
         &gpu.device,
@@ -103,6 +106,8 @@ fn run(
             ("other", other),
             ("errors", errors),
             ("report", &report),
+            ("bricks", bricks),
+            ("changes", changes),
         ],
     )?;
     let mut encoder = gpu.encoder();
@@ -110,9 +115,9 @@ fn run(
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&kernel.pipeline(&gpu.device, entry, &[]));
         pass.set_bind_group(0, &bound, &[]);
-        for front in 0..fronts {
-            pass.set_immediates(0, bytemuck::bytes_of(&(front as u32)));
-            dispatch(&mut pass, groups);
+        for (front, groups) in fronts {
+            pass.set_immediates(0, bytemuck::bytes_of(front));
+            dispatch(&mut pass, *groups);
         }
     }
     gpu.submit(encoder)?;
@@ -139,10 +144,10 @@ pub(super) fn layers(
     let rounds = (layers.iterations as usize + 4) * (Convection::STRIP * columns).div_ceil(256);
     gpu.rounds(rounds as f64, "so many iterations of a layer")?;
     let buffers = [holds(sigma, voxels)?, holds(before, voxels)?, holds(rho, voxels)?];
-    let scratch = [&gpu.scratch(voxels)?, &gpu.scratch(deep * bands)?];
-    let fronts = deep + bands - 1;
+    let scratch = [&gpu.spare(voxels)?, &gpu.scratch(deep * bands)?];
+    let fronts: Vec<_> = (0..(deep + bands - 1) as u32).map(|front| (front, [bands, 1, 1])).collect();
     let [error, iterations, rows, _] =
-        run(gpu, ("strips", params(convection, layers)), buffers, scratch, fronts, [bands, 1, 1])?;
+        run(gpu, ("strips", params(convection, layers)), buffers, scratch, None, &fronts)?;
     Ok(Convected { error: f32::from_bits(error), iterations, updates: u64::from(rows) * columns as u64 })
 }
 
@@ -156,17 +161,46 @@ pub(super) fn whole(
     let voxels = convection.size.iter().product();
     let buffers = [holds(sigma, voxels)?, holds(before, voxels)?, holds(rho, voxels)?];
     let scratch = [&gpu.scratch(1)?, &gpu.scratch(1)?];
-    let groups = groups(convection.size);
-    Ok(f32::from_bits(run(gpu, ("whole", params(convection, ANY)), buffers, scratch, 1, groups)?[0]))
+    let fronts = [(0, groups(convection.size))];
+    Ok(f32::from_bits(run(gpu, ("whole", params(convection, ANY)), buffers, scratch, None, &fronts)?[0]))
 }
 
-pub(super) fn ordered(gpu: &Gpu, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
+pub(super) fn ordered(
+    gpu: &Gpu,
+    convection: &Convection,
+    layout: &BrickLayout,
+    sigma: &Buffer,
+    rho: &mut Buffer,
+    fronts: &[&[u32]],
+) -> Result<Vec<f32>> {
     let voxels = convection.size.iter().product();
-    let unused = gpu.scratch(1)?;
-    let buffers = [holds(sigma, voxels)?, &unused, holds(rho, voxels)?];
-    let scratch = [&gpu.scratch(1)?, &gpu.scratch(1)?];
-    let fronts = convection.size.iter().sum::<usize>() - 2;
-    let [_, ny, nz] = convection.size;
-    let groups = [ny.div_ceil(8), nz.div_ceil(8), 1];
-    run(gpu, ("ordered", params(convection, ANY)), buffers, scratch, fronts, groups).map(drop)
+    let listed: Vec<u32> = fronts.concat();
+    let unused = [gpu.scratch(1)?, gpu.scratch(1)?, gpu.scratch(1)?];
+    let buffers = [holds(sigma, voxels)?, &unused[0], holds(rho, voxels)?];
+    let scratch = [&unused[1], &unused[2]];
+    if listed.len() == layout.len() {
+        let planes = 0..convection.size.iter().sum::<usize>() as u32 - 2;
+        let [_, ny, nz] = convection.size;
+        let groups = [ny.div_ceil(8), nz.div_ceil(8), 1];
+        let fronts = planes.map(|front| (front, groups)).collect::<Vec<_>>();
+        run(gpu, ("ordered", params(convection, ANY)), buffers, scratch, None, &fronts)?;
+        return Ok(vec![f32::INFINITY; listed.len()]);
+    }
+    if listed.is_empty() {
+        return Ok(vec![]);
+    }
+    let changes = gpu.scratch(layout.len())?;
+    let mut first = 0;
+    let fronts: Vec<_> = fronts
+        .iter()
+        .map(|front| {
+            first += front.len() as u32;
+            (first - front.len() as u32, [front.len(), 1, 1])
+        })
+        .collect();
+    let params = Params { strip: layout.edge as u32, ..params(convection, ANY) };
+    let bricks = Some([&gpu.storage(&listed)?, &changes]);
+    run(gpu, ("brick_by_brick", params), buffers, scratch, bricks, &fronts)?;
+    let changes: Vec<f32> = gpu.values(&changes, layout.len())?;
+    Ok(listed.iter().map(|&b| changes[b as usize]).collect())
 }

@@ -19,7 +19,7 @@ pub(super) struct Params {
 pub(super) fn diffuse(gpu: &Gpu, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
     let len = size.iter().product();
     let values = holds(values, len)?;
-    let other = gpu.scratch(len)?;
+    let other = gpu.spare(len)?;
     for (axis, weights) in weights.into_iter().enumerate() {
         if weights.len() < 2 {
             continue;

@@ -42,6 +42,8 @@ pub struct Gpu {
     device: wgpu::Device,
     queue: wgpu::Queue,
     kernels: Mutex<HashMap<&'static str, Arc<Kernel>>>,
+    /// Scratch of the last kernel that wanted a volume of it.
+    spare: Mutex<Option<wgpu::Buffer>>,
     /// What went wrong on the device since somebody last looked; losing the device is never forgotten.
     failure: Arc<Mutex<Option<Failure>>>,
 }
@@ -88,7 +90,7 @@ impl Gpu {
         device.set_device_lost_callback(move |_, message| {
             note(&slot, Failure { message: format!("the device was lost: {message}"), lost: true });
         });
-        Ok(Gpu { report, device, queue, kernels: Mutex::default(), failure })
+        Ok(Gpu { report, device, queue, kernels: Mutex::default(), spare: Mutex::default(), failure })
     }
 
     /// What [`adapters`] says of this one.
@@ -144,6 +146,15 @@ impl Gpu {
     /// Scratch memory of `len` zeros.
     fn scratch(&self, len: usize) -> Result<wgpu::Buffer> {
         self.raw(4 * len as u64, wgpu::BufferUsages::STORAGE)
+    }
+
+    /// Scratch memory of at least `len` values, whatever they are, kept from call to call: one kernel at a time uses it.
+    fn spare(&self, len: usize) -> Result<wgpu::Buffer> {
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*spare {
+            Some(kept) if kept.size() >= 4 * len as u64 => Ok(kept.clone()),
+            _ => Ok(spare.insert(self.scratch(len)?).clone()),
+        }
     }
 
     /// A storage buffer that holds `values`.
@@ -384,8 +395,15 @@ impl Device for Gpu {
         convect::whole(self, convection, sigma, before, rho)
     }
 
-    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
-        convect::ordered(self, convection, sigma, rho)
+    fn convect_ordered(
+        &self,
+        convection: &Convection,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        convect::ordered(self, convection, layout, sigma, rho, fronts)
     }
 
     fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {

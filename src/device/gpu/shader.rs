@@ -55,7 +55,7 @@ pub static SOURCE: Shader = shader!("source", ["grid"], size_of::<source::Params
 /// See `shaders/transport.wgsl`.
 pub static TRANSPORT: Shader = shader!("transport", ["grid"], size_of::<transport::Params>());
 /// See `shaders/convect.wgsl`.
-pub static CONVECT: Shader = shader!("convect", ["grid"], size_of::<convect::Params>());
+pub static CONVECT: Shader = shader!("convect", ["grid", "bricks"], size_of::<convect::Params>());
 /// See `shaders/diffuse.wgsl`.
 pub static DIFFUSE: Shader = shader!("diffuse", ["grid"], size_of::<diffuse::Params>());
 /// See `shaders/relax.wgsl`.

@@ -371,8 +371,15 @@ impl Device for Paged {
         self.inner.convect_whole(convection, self.near(sigma)?, self.near(before)?, self.near_mut(rho)?)
     }
 
-    fn convect_ordered(&self, convection: &Convection, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
-        self.inner.convect_ordered(convection, self.near(sigma)?, self.near_mut(rho)?)
+    fn convect_ordered(
+        &self,
+        convection: &Convection,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        self.inner.convect_ordered(convection, layout, self.near(sigma)?, self.near_mut(rho)?, fronts)
     }
 
     fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {

@@ -128,6 +128,21 @@ fn kept(opacity: Opacity, s: f32, sigma: f32) -> f32 {
     }
 }
 
+/// Largest difference of two rows, in lanes.
+#[inline(always)]
+fn largest_change(a: &[f32], b: &[f32]) -> f32 {
+    let mut most = [0.0f32; 16];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<16>(), b.as_chunks::<16>());
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..16 {
+            let change = (a[lane] - b[lane]).abs();
+            most[lane] = if change > most[lane] { change } else { most[lane] };
+        }
+    }
+    let rest = a_rest.iter().zip(b_rest).map(|(a, b)| (a - b).abs());
+    most.into_iter().chain(rest).fold(0.0, f32::max)
+}
+
 dispatch! {
     /// `1 − σ_a` of a row where the way is the same everywhere.
     fn kept_row(opacity: Opacity, s: f32, sigma: &[f32], out: &mut [f32]) = kept_row_body;

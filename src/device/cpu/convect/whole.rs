@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Row, entering, entering_row, kept, ways, with_row};
+use super::{Row, entering, entering_row, kept, largest_change, ways, with_row};
 use crate::device::convection::{Convection, Opacity};
 use crate::device::cpu::simd::dispatch;
 
@@ -63,21 +63,18 @@ fn iterate_body(
     let sigma = &sigma[(k * size[1] + j) * n..][..n];
     let [dx, dy, dz] = row.way.each_ref().map(|d| &d[..n]);
     let fixed = &row.fixed[..n];
-    let mut most = [0.0f32; 16];
+    let out = &mut out[..n];
     let mut fill = |opacity: Opacity| {
         for l in 0..n {
             let s = dx[l] + dy[l] + dz[l];
             let moved = dx[l] * x[l] + dy[l] * y[l] + dz[l] * z[l];
             let value = kept(opacity, s, sigma[l]) * ((1.0 - 0.5 * s) * here[l] + 0.5 * moved);
-            let value = if fixed[l] < 0.0 { value } else { fixed[l] };
-            let change = (value - here[l]).abs();
-            most[l % 16] = if change > most[l % 16] { change } else { most[l % 16] };
-            out[l] = value;
+            out[l] = if fixed[l] < 0.0 { value } else { fixed[l] };
         }
     };
     match *opacity {
         Opacity::Calibrated { length } => fill(Opacity::Calibrated { length }),
         Opacity::Literal { length } => fill(Opacity::Literal { length }),
     }
-    most.into_iter().fold(0.0, f32::max)
+    largest_change(here, out)
 }
