@@ -218,7 +218,7 @@ impl OnLevel {
 
     /// The step with the file's own cells: one piece for each patch, less what finer patches cover.
     pub fn native(&self, step: Timestep, opened: &Arc<h5::Opened>) -> Result<Native> {
-        let (mesh, open) = (&self.mesh, self.open(opened));
+        let (mesh, open) = (&self.mesh, Arc::new(self.open(opened)));
         let factor = |level| mesh.levels.factor(level).unwrap_or([1; 3]);
         let pieces = mesh.patches.iter().enumerate().map(|(n, patch)| {
             let finer = mesh.patches.iter().filter(|p| p.level > patch.level);
@@ -232,9 +232,10 @@ impl OnLevel {
                     size: std::array::from_fn(|a| hi[a] - lo[a]),
                 })
             });
-            Ok(Piece { size: patch.size, field: open.patch(n)?.clone(), covered: covers.collect() })
+            let field = Arc::new(PatchField { mesh: open.clone(), patch: n });
+            Piece { size: patch.size, field, covered: covers.collect() }
         });
-        Ok(Native { pieces: pieces.collect::<Result<_>>()?, step })
+        Ok(Native { pieces: pieces.collect(), step })
     }
 }
 
@@ -245,14 +246,33 @@ pub(crate) struct MeshField {
     opened: Arc<h5::Opened>,
 }
 
+/// One patch of an open mesh, opened when it is read.
+struct PatchField {
+    mesh: Arc<MeshField>,
+    patch: usize,
+}
+
+impl Field for PatchField {
+    fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
+        self.mesh.patch(self.patch)?.read(region, out)
+    }
+
+    fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
+        self.mesh.patch(self.patch)?.read_f64(region, out)
+    }
+}
+
+/// Patches that stay open: each may be a file of its own, and a process has a thousand or so.
+const OPEN: usize = 256;
+
 impl MeshField {
-    fn patch(&self, n: usize) -> Result<&Arc<dyn Field>> {
+    fn patch(&self, n: usize) -> Result<Arc<dyn Field>> {
         if let Some(field) = self.fields[n].get() {
-            return Ok(field);
+            return Ok(field.clone());
         }
         let patch = &self.of.mesh.patches[n];
         let field = patch.values.open(patch.size, &self.opened)?;
-        Ok(self.fields[n].get_or_init(|| field))
+        Ok(if self.fields.len() <= OPEN { self.fields[n].get_or_init(|| field).clone() } else { field })
     }
 
     fn slab(&self, region: Region, out: &mut [f64]) -> Result<()> {
@@ -290,9 +310,11 @@ impl MeshField {
                 start: std::array::from_fn(|a| first[a] - patch.start[a]),
                 size: std::array::from_fn(|a| past[a] - first[a]),
             };
+            // Opening checks that the file holds what the mesh claims, before room is made for it.
+            let field = self.patch(n)?;
             part.clear();
             part.resize(under.len(), 0.0);
-            self.patch(n)?.read_f64(under, &mut part)?;
+            field.read_f64(under, &mut part)?;
             let at =
                 |k: usize, j: usize| ((k - region.start[2]) * region.size[1] + j - region.start[1]) * region.size[0];
             if coarser {
@@ -374,7 +396,11 @@ impl Field for MeshField {
 
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
         let plane = region.size[0] * region.size[1];
-        let thickness = (SLAB / plane.max(1)).max(1);
+        // Finer cells are read to be averaged: as many of them are in hand as there may be values.
+        let levels = &self.of.mesh.levels;
+        let factor = |level| levels.factor(level).unwrap_or([1; 3]).iter().product::<usize>();
+        let finer = factor(levels.finest()) / factor(self.of.level).max(1);
+        let thickness = (SLAB / plane.saturating_mul(finer.max(1)).max(1)).max(1);
         for first in (0..region.size[2]).step_by(thickness) {
             let count = thickness.min(region.size[2] - first);
             let start = [region.start[0], region.start[1], region.start[2] + first];

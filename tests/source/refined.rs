@@ -406,6 +406,110 @@ fn gdf_grids_are_put_together_in_both_orders() {
     says(&complaint(&spec(&path), None), &["a.gdf", "2 grid_level", "do not agree"]);
 }
 
+/// One file of openPMD with records `rho` and `rho_lvl1`, the finer one over its patch alone; positions in millimetres.
+fn openpmd(path: &Path, step: usize, position: f64) {
+    let file = File::create(path).unwrap();
+    for (name, text) in
+        [("openPMD", "1.1.0"), ("basePath", "/data/%T/"), ("meshesPath", "fields/"), ("iterationEncoding", "fileBased")]
+    {
+        text_attribute(&file, name, text);
+    }
+    let (number, time) = STEPS[step];
+    let iteration = file.create_group("data").unwrap().create_group(&number.to_string()).unwrap();
+    attribute(&iteration, "time", &[time]);
+    let fields = iteration.create_group("fields").unwrap();
+    let coarse: Vec<f64> = (0..128)
+        .map(|n| {
+            let at = [n % 8, n / 8 % 4, n / 32];
+            if refined(0, at) { POISON } else { cell(0, at, step) }
+        })
+        .collect();
+    let coarse = ArrayD::from_shape_vec(IxDyn(&[4, 4, 8]), coarse).unwrap();
+    for (level, name, values) in [(0, "rho", coarse), (1, "rho_lvl1", array(2, step))] {
+        let dataset = write(&fields, name, &values);
+        let h = 0.5 / (1 << level) as f64;
+        let labels: Vec<_> = ["z", "y", "x"].map(|l| hdf5::types::FixedAscii::<2>::from_ascii(l).unwrap()).into();
+        dataset
+            .new_attr::<hdf5::types::FixedAscii<2>>()
+            .shape([3])
+            .create("axisLabels")
+            .unwrap()
+            .write(&labels)
+            .unwrap();
+        let start = if level == 0 { [0; 3] } else { PATCHES[2].1 };
+        let corner: Vec<f64> = (0..3).rev().map(|a| 1000.0 * (CORNER[a] + h * start[a] as f64)).collect();
+        attribute(&dataset, "gridSpacing", &[1000.0 * h; 3]);
+        attribute(&dataset, "gridGlobalOffset", &corner);
+        attribute(&dataset, "gridUnitSI", &[1e-3]);
+        attribute(&dataset, "position", &[position; 3]);
+    }
+}
+
+#[test]
+fn openpmd_records_of_finer_levels_belong_to_the_coarse_one() {
+    let folder = tempfile::tempdir().unwrap();
+    for (step, (number, _)) in STEPS.into_iter().enumerate() {
+        openpmd(&folder.path().join(format!("diag_{number}.h5")), step, 0.5);
+    }
+    let series = open(&spec(folder.path())).unwrap();
+    let info = series.info();
+    assert_eq!((info.layout.as_str(), info.field.as_str(), info.level), ("openPMD fileBased", "rho", Some(1)));
+    assert_eq!(info.candidates.len(), 2);
+    assert!(
+        close(&info.grid.spacing, &[0.25; 3]) && close(&info.grid.origin, &[-0.875, 0.125, 2.125]),
+        "{:?}",
+        info.grid
+    );
+    for (step, (_, time)) in STEPS.into_iter().enumerate() {
+        assert_eq!(info.steps[step].time, Some(time));
+        assert!(close(&read(series.as_ref(), step, None), &expected(1, step)), "step {step}");
+    }
+    let coarse = open(&SourceSpec { level: Some(0), ..spec(folder.path()) }).unwrap();
+    assert!(close(&read(coarse.as_ref(), 1, None), &expected(0, 1)));
+    // One level is a field of its own, which has no levels.
+    let finer = open(&SourceSpec { field: Some("rho_lvl1".into()), ..spec(folder.path()) }).unwrap();
+    assert_eq!((finer.info().grid.size, finer.info().level), ([4, 4, 4], None));
+    let path = folder.path().join("nodes.h5");
+    openpmd(&path, 0, 0.0);
+    let told = open(&spec(path)).unwrap().info().clone();
+    assert_eq!((told.grid.size, told.level), ([8, 4, 4], None));
+    says(&told.warnings.join("\n"), &["rho_lvl1 refine the field but are not on cells"]);
+}
+
+/// The texts of an Enzo output are changed byte by byte and cut short: nothing that follows may panic or run away.
+#[test]
+fn damaged_enzo_texts_end_in_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    enzo(folder.path(), true);
+    let inside = folder.path().join("DD0003");
+    let mut state = 7u64;
+    let mut random = move |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    for name in ["DD0003", "DD0003.hierarchy"] {
+        let path = inside.join(name);
+        let whole = std::fs::read(&path).unwrap();
+        for _ in 0..200 {
+            let mut bytes = whole.clone();
+            for _ in 0..1 + random(4) {
+                let at = random(bytes.len());
+                bytes[at] = b"0123456789-.e= \n\xff"[random(17)];
+            }
+            if random(4) == 0 {
+                bytes.truncate(random(whole.len()));
+            }
+            std::fs::write(&path, &bytes).unwrap();
+            let Ok(series) = open(&spec(inside.join("DD0003.hierarchy"))) else { continue };
+            let Ok(step) = series.timestep(0) else { continue };
+            if step.grid.len() < 1 << 20 {
+                let _ = step.field.read(step.grid.region(), &mut vec![0.0; step.grid.len()]);
+            }
+        }
+        std::fs::write(&path, whole).unwrap();
+    }
+}
+
 #[test]
 fn a_level_is_asked_only_of_meshes() {
     let folder = tempfile::tempdir().unwrap();

@@ -40,8 +40,9 @@ pub(crate) fn plan(input: Input) -> Result<Plan> {
         ..Default::default()
     };
     let mut plan = blocks::plan(input, about, |file, path| (number(file, "Time"), mesh(file, path, variable)))?;
-    if ends.iter().flatten().any(|e| e[2] != 1.0) {
-        let size = plan.info.grid.size;
+    let size = plan.info.grid.size;
+    // A mesh with longer axes is refused later on; its faces need no room before.
+    if ends.iter().flatten().any(|e| e[2] != 1.0) && size.iter().all(|n| *n <= 1 << 24) {
         let along = std::array::from_fn(|a| {
             let [least, most, ratio] = ends[a].as_deref().map_or([0.0, 1.0, 1.0], |e| [e[0], e[1], e[2]]);
             Along::cells(&faces(least, most, ratio, root.get(a).copied().unwrap_or(1.0), size[a]))

@@ -2,15 +2,21 @@
 //!
 //! Values are as stored; `unitSI` is reported, not applied. Positions are in metres (`gridUnitSI`), times in seconds
 //! (`timeUnitSI`). With `dataOrder` F the per-axis attributes run fastest axis first and are turned round.
+//!
+//! Records `E_lvl1`, `E_lvl2`, … beside `E` are levels of refinement of it, as AMReX codes write them: on cells (`position` ½)
+//! they are read as one mesh.
+
+use std::path::{Path, PathBuf};
 
 use hdf5::{File, Location};
 
 use super::attributes::{number, numbers, text, texts};
 use super::tree::type_name;
-use super::{Input, Packing, Slab, asked};
+use super::{Input, Packing, Slab, asked, blocks};
 use crate::error::{Error, Result};
 use crate::source::axes::Axes;
 use crate::source::choose::{choose, component};
+use crate::source::mesh::{self as levels, Found, Levels, Patch};
 use crate::source::series::{Plan, Step};
 use crate::source::values::Values;
 use crate::source::{Candidate, GridInfo, SeriesInfo};
@@ -61,29 +67,50 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
     if let Some(unit) = unit.filter(|u| *u != 1.0) {
         input.warnings.push(format!("values are as stored; times unitSI = {unit} they are in SI units"));
     }
-    let mut steps = Vec::new();
+    let finer = finer(&records, &record.candidate.name);
+    let refined = !finer.is_empty() && mesh.positions[chosen[0]] == [0.5; 3];
+    if !finer.is_empty() && !refined {
+        let names: Vec<&str> = finer.iter().map(|r| r.candidate.name.as_str()).collect();
+        input.warnings.push(format!("{} refine the field but are not on cells: they are not shown", names.join(", ")));
+    }
+    let (mut steps, mut found) = (Vec::new(), Vec::new());
     for entry in &input.files.entries {
         let Some(file) = super::reopen(entry, input.entry, &input.file, &mut input.warnings) else {
             let dataset = format!("{before}/{}", entry.number.unwrap_or(0));
             let values = Values::Hdf5(mesh.slab(entry.path.clone(), dataset));
-            steps.push(Step { step: entry.number.unwrap_or(steps.len() as u64), time: None, grid: None, values });
+            let step = entry.number.unwrap_or(steps.len() as u64);
+            steps.push(Step { step, time: None, grid: None, values });
+            let mesh = Err("cannot be opened".into());
+            found.push(Found { step, time: None, mesh, file: entry.path.clone() });
             continue;
         };
         for (number_of, iteration) in iterations(&file, &before) {
-            let here = format!("{}/{}", inside(&iteration), record.candidate.name);
             let group = file.group(&format!("{before}/{iteration}")).ok();
             let told = |name: &str| group.as_ref().and_then(|g| number(g, name));
             let time = told("time").map(|t| t * told("timeUnitSI").unwrap_or(1.0));
-            let grid = Mesh::read(&file, &here, record, input.spec.axes.as_deref(), "", &mut Vec::new())
-                .map(|m| m.grid(chosen[0]));
-            let value = |&p: &usize| match &record.parts[p] {
-                (_, Part::Constant(value)) => Values::Constant(*value),
-                (leaf, Part::Stored) if leaf.is_empty() => Values::Hdf5(mesh.slab(entry.path.clone(), here.clone())),
-                (leaf, Part::Stored) => Values::Hdf5(mesh.slab(entry.path.clone(), format!("{here}/{leaf}"))),
+            let open = |record: &Record| -> Result<(Mesh, Values)> {
+                let here = format!("{}/{}", inside(&iteration), record.candidate.name);
+                let mesh = Mesh::read(&file, &here, record, input.spec.axes.as_deref(), "", &mut Vec::new())?;
+                let values = chosen.iter().map(|&p| mesh.part(record, p, &entry.path, &here)).collect();
+                Ok((mesh, Values::of(values)))
             };
-            let values = Values::of(chosen.iter().map(value).collect());
-            steps.push(Step { step: number_of, time, grid: grid.ok(), values });
+            if refined {
+                let all = std::iter::once(record).chain(finer.iter().copied()).map(open).collect::<Result<Vec<_>>>();
+                let mesh = all.map_err(|e| e.to_string()).and_then(|all| whole_mesh(all, chosen[0]));
+                found.push(Found { step: number_of, time, mesh, file: entry.path.clone() });
+                continue;
+            }
+            let here = format!("{}/{}", inside(&iteration), record.candidate.name);
+            let values = Values::of(chosen.iter().map(|&p| mesh.part(record, p, &entry.path, &here)).collect());
+            let grid = open(record).ok().map(|(mesh, _)| mesh.grid(chosen[0]));
+            steps.push(Step { step: number_of, time, grid, values });
         }
+    }
+    let (mut grid, mut level) = (mesh.grid(chosen[0]), None);
+    if refined {
+        let joined = levels::steps(found, input.spec.level, &mut input.warnings);
+        let (fine, shown, all) = joined.map_err(|why| Error::format(&shown, why, "--field NAME of one level"))?;
+        (grid, level, steps) = (GridInfo { units: grid.units, ..fine }, Some(shown), all);
     }
     let leaf = &record.parts[chosen[0]].0;
     let field = match chosen.as_slice() {
@@ -95,12 +122,44 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         series: input.paths(),
         field,
         candidates,
-        grid: mesh.grid(chosen[0]),
+        grid,
+        level,
         time_units: "s".into(),
         warnings: input.warnings,
         ..SeriesInfo::default()
     };
     Ok(Plan { info, steps, start: 0.0 })
+}
+
+/// The records that refine one, level 1 first, as long as there is none missing.
+fn finer<'a>(records: &'a [Record], name: &str) -> Vec<&'a Record> {
+    let level = |n: usize| records.iter().find(|r| r.candidate.name == format!("{name}_lvl{n}"));
+    (1..).map_while(level).collect()
+}
+
+/// The levels of a record, coarsest first, as one mesh. `part` tells where in a cell values sit.
+fn whole_mesh(all: Vec<(Mesh, Values)>, part: usize) -> Result<levels::Mesh, String> {
+    let Some((root, _)) = all.first() else { return Err("no levels".into()) };
+    let (size, spacing, corner) = (root.size, root.spacing, root.offset);
+    let (mut ratios, mut patches, mut before) = (Vec::new(), Vec::new(), spacing);
+    for (level, (mesh, values)) in all.into_iter().enumerate() {
+        if mesh.positions[part] != [0.5; 3] {
+            return Err(format!("level {level} is not on cells"));
+        }
+        let mut start = [0; 3];
+        let mut ratio = [1; 3];
+        for a in 0..3 {
+            let askew = || format!("level {level} does not fit into the levels below it");
+            start[a] = blocks::whole((mesh.offset[a] - corner[a]) / mesh.spacing[a]).ok_or_else(askew)?;
+            ratio[a] = blocks::whole(before[a] / mesh.spacing[a]).filter(|r| *r > 0).ok_or_else(askew)?;
+        }
+        if level > 0 {
+            ratios.push(ratio);
+        }
+        before = mesh.spacing;
+        patches.push(Patch { level, start, size: mesh.size, values });
+    }
+    levels::Mesh::new(Levels { corner, spacing, size, ratios }, patches)
 }
 
 fn place(group: &hdf5::Group, leaf: &str) -> Option<Location> {
@@ -176,7 +235,11 @@ fn find<'a>(
     {
         return Ok((record, Some(part)));
     }
-    let stored = |r: &&Record| r.parts.iter().any(|(_, p)| matches!(p, Part::Stored));
+    let refines = |r: &Record| {
+        let base = r.candidate.name.rsplit_once("_lvl").filter(|(_, n)| n.bytes().all(|b| b.is_ascii_digit()));
+        base.is_some_and(|(base, _)| records.iter().any(|r| r.candidate.name == base))
+    };
+    let stored = |r: &&Record| r.parts.iter().any(|(_, p)| matches!(p, Part::Stored)) && !refines(r);
     let mut alive = records.iter().filter(stored);
     match (asked, alive.next(), alive.next()) {
         (None, Some(only), None) => Ok((only, None)),
@@ -282,7 +345,16 @@ impl Mesh {
         }
     }
 
-    fn slab(&self, file: std::path::PathBuf, dataset: String) -> Slab {
+    /// A component of a record at `here`: stored, or the same everywhere.
+    fn part(&self, record: &Record, part: usize, file: &Path, here: &str) -> Values {
+        match &record.parts[part] {
+            (_, Part::Constant(value)) => Values::Constant(*value),
+            (leaf, Part::Stored) if leaf.is_empty() => Values::Hdf5(self.slab(file.to_owned(), here.to_owned())),
+            (leaf, Part::Stored) => Values::Hdf5(self.slab(file.to_owned(), format!("{here}/{leaf}"))),
+        }
+    }
+
+    fn slab(&self, file: PathBuf, dataset: String) -> Slab {
         let packing = Packing::default();
         Slab { file, dataset, rank: 3, space: self.axes.space, fixed: Vec::new(), start: [0; 3], whole: true, packing }
     }
