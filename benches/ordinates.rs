@@ -7,7 +7,7 @@ use std::time::Instant;
 use glam::Vec3;
 use gloaming::Grid;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, Transport};
+use gloaming::device::{Buffer, Device, Transport, Travel};
 use gloaming::light::ordinates::{ScatterProblem, Scattered, ordinates};
 
 /// Smallest time of `n` runs in seconds.
@@ -78,8 +78,9 @@ fn main() {
         sigma: &sigma,
         scattering: std::slice::from_ref(&scattering),
         emission: &[],
-        first: &[(&first, [1.0; 3], Vec3::Z)],
-        environment: [0.0; 3],
+        first: &[(&first, [1.0; 3], Travel::Along(Vec3::Z))],
+        environment: &[],
+        chromatic: [1.0; 3],
         anisotropy: 0.0,
         directions: 32,
         tolerance: 1e-3,

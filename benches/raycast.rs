@@ -71,6 +71,7 @@ fn main() -> gloaming::Result<()> {
     let (grid, values) = smoke()?;
     let ramp = |i: usize| i as f32 / (Table::ENTRIES - 1) as f32;
     let table = Table {
+        chromatic: [1.0; 3],
         lo: 0.0,
         hi: 1.0,
         extinction: (0..Table::ENTRIES).map(|i| 0.6 * ramp(i)).collect(),

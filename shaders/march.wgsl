@@ -28,6 +28,8 @@ struct Params {
     diffuse: f32,
     specular: f32,
     shininess: f32,
+    // Factor on extinction per channel.
+    chromatic: vec3<f32>,
     picture: vec2<u32>,
     // First and last plane of the data that is held.
     held: vec2<u32>,
@@ -40,6 +42,10 @@ override TERMS: u32 = 8u;
 override SKIP: bool = true;
 override SHADE: bool = true;
 override GLOW: bool = true;
+// Whether any term is a lamp.
+override LAMPS: bool = true;
+// Whether channels dim differently.
+override CHROMATIC: bool = true;
 
 // Single-scattering properties of a table entry.
 struct Optics {
@@ -51,6 +57,7 @@ struct Optics {
 const UNIFORM: u32 = 0u;
 const PHASE: u32 = 1u;
 const CURRENT: u32 = 2u;
+const LAMP: u32 = 3u;
 
 struct Term {
     size: vec3<u32>,
@@ -58,10 +65,16 @@ struct Term {
     first: u32,
     weight: vec3<f32>,
     kind: u32,
+    // Of a lamp: its cone's axis.
     direction: vec3<f32>,
     g: f32,
     // First and last plane that is held.
     held: vec2<u32>,
+    // Of a lamp: where it is, and its falloff, see lamp.wgsl.
+    position: vec3<f32>,
+    floor: f32,
+    outer: f32,
+    slope: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -171,6 +184,21 @@ fn light7_at(c: Cell) -> f32 {
 }
 
 var<private> weights: array<vec3<f32>, MAX_TERMS>;
+var<private> to_eye: vec3<f32>;
+
+fn phase(g: f32, cosine: f32) -> f32 {
+    let base = 1.0 + g * g - 2.0 * g * cosine;
+    return (1.0 - g * g) / (FOUR_PI * base * sqrt(base));
+}
+
+// What one unit of a term's value contributes at a position.
+fn weight_at(t: u32, x: vec3<f32>) -> vec3<f32> {
+    if !LAMPS || terms[t].kind != LAMP { return weights[t]; }
+    let lamp = terms[t];
+    let d = (x - lamp.position) / params.per_world;
+    let cosine = dot(d, to_eye) / sqrt(max(dot(d, d), 1e-30));
+    return lamp.weight * (falloff(d, lamp.direction, lamp.floor, lamp.outer, lamp.slope) * phase(lamp.g, cosine));
+}
 
 // The cell of a term at a position on the data grid; that of the term before where both have the same grid.
 fn term_cell(t: u32, x: vec3<f32>, before: Cell) -> Cell {
@@ -186,48 +214,46 @@ fn in_scatter(x: vec3<f32>) -> vec3<f32> {
     var c: Cell;
     if TERMS > 0u {
         c = term_cell(0u, x, c);
-        sum += weights[0] * light0_at(c);
+        sum += weight_at(0u, x) * light0_at(c);
     }
     if TERMS > 1u {
         c = term_cell(1u, x, c);
-        sum += weights[1] * light1_at(c);
+        sum += weight_at(1u, x) * light1_at(c);
     }
     if TERMS > 2u {
         c = term_cell(2u, x, c);
-        sum += weights[2] * light2_at(c);
+        sum += weight_at(2u, x) * light2_at(c);
     }
     if TERMS > 3u {
         c = term_cell(3u, x, c);
-        sum += weights[3] * light3_at(c);
+        sum += weight_at(3u, x) * light3_at(c);
     }
     if TERMS > 4u {
         c = term_cell(4u, x, c);
-        sum += weights[4] * light4_at(c);
+        sum += weight_at(4u, x) * light4_at(c);
     }
     if TERMS > 5u {
         c = term_cell(5u, x, c);
-        sum += weights[5] * light5_at(c);
+        sum += weight_at(5u, x) * light5_at(c);
     }
     if TERMS > 6u {
         c = term_cell(6u, x, c);
-        sum += weights[6] * light6_at(c);
+        sum += weight_at(6u, x) * light6_at(c);
     }
     for (var t = 7u; t < TERMS; t++) {
         c = term_cell(t, x, c);
         let first = terms[t].first;
-        sum += weights[t] * light7_at(Cell(c.low + first, c.high + first, c.low_weight, c.high_weight));
+        sum += weight_at(t, x) * light7_at(Cell(c.low + first, c.high + first, c.low_weight, c.high_weight));
     }
     return max(sum, vec3(0.0));
 }
 
-// What one unit of a term's value contributes along a ray; `to_eye` is the way to the eye.
-fn term_weight(term: Term, to_eye: vec3<f32>) -> vec3<f32> {
-    if term.kind == UNIFORM { return term.weight; }
+// What one unit of a term's value contributes along a ray; of a lamp that depends on the position too.
+fn term_weight(term: Term) -> vec3<f32> {
+    if term.kind == UNIFORM || term.kind == LAMP { return term.weight; }
     let cosine = dot(term.direction, to_eye);
     if term.kind == CURRENT { return term.weight * cosine; }
-    let g = term.g;
-    let base = 1.0 + g * g - 2.0 * g * cosine;
-    return term.weight * ((1.0 - g * g) / (FOUR_PI * base * sqrt(base)));
+    return term.weight * phase(term.g, cosine);
 }
 
 fn extinction(value: f32) -> f32 {
@@ -237,7 +263,7 @@ fn extinction(value: f32) -> f32 {
 }
 
 // Blinn–Phong by the gradient of extinction, gated by its magnitude (Zhang & Ma 2013 (24)).
-fn shading(x: vec3<f32>, sigma: f32, to_eye: vec3<f32>) -> f32 {
+fn shading(x: vec3<f32>, sigma: f32) -> f32 {
     let gradient = 0.5 * params.per_world * vec3(
         extinction(data(x + vec3(1.0, 0.0, 0.0))) - extinction(data(x - vec3(1.0, 0.0, 0.0))),
         extinction(data(x + vec3(0.0, 1.0, 0.0))) - extinction(data(x - vec3(0.0, 1.0, 0.0))),
@@ -258,7 +284,8 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.picture) { return; }
     let at = (2.0 * vec2<f32>(id.xy) + 1.0) / vec2<f32>(params.picture) - 1.0;
     let ray = normalize(params.forward + at.x * params.right - at.y * params.up);
-    for (var t = 0u; t < TERMS; t++) { weights[t] = term_weight(terms[t], -ray); }
+    to_eye = -ray;
+    for (var t = 0u; t < TERMS; t++) { weights[t] = term_weight(terms[t]); }
 
     // Where the ray meets the box. WGSL promises nothing about division by 0: a component of 0 is made tiny.
     let along = ray * params.per_world;
@@ -270,15 +297,15 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     let near = max(max(entries.x, entries.y), max(entries.z, 0.0));
     let reach = min(exits.x, min(exits.y, exits.z)) - near;
     if !(reach > 0.0) { return; }
-    let ray_state = 5u * (id.y * params.picture.x + id.x);
+    let ray_state = 7u * (id.y * params.picture.x + id.x);
     let entered = params.eye + near * along;
     let count = u32(ceil(reach / params.step));
     let bricks = (params.size + params.edge - 1u) / params.edge;
 
     var radiance = vec3(rays[ray_state], rays[ray_state + 1u], rays[ray_state + 2u]);
-    var transmittance = rays[ray_state + 3u];
-    var n = u32(rays[ray_state + 4u]);
-    while n < count && transmittance >= OPAQUE {
+    var transmittance = vec3(rays[ray_state + 3u], rays[ray_state + 4u], rays[ray_state + 5u]);
+    var n = u32(rays[ray_state + 6u]);
+    while n < count && any(transmittance >= vec3(OPAQUE)) {
         let begin = f32(n) * params.step;
         let end = min(begin + params.step, reach);
         let x = entered + 0.5 * (begin + end) * along;
@@ -305,12 +332,17 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         let sigma = mix(low.extinction, high.extinction, e.fraction);
         let albedo = mix(low.albedo, high.albedo, e.fraction);
         let ds = end - begin;
-        let alpha = 1.0 - exp(-sigma * ds);
+        var sigmas = vec3(sigma);
+        var alpha = vec3(1.0 - exp(-sigma * ds));
+        if CHROMATIC {
+            sigmas *= params.chromatic;
+            alpha = 1.0 - exp(-sigmas * ds);
+        }
         var added = vec3(0.0);
-        if GLOW { added = mix(low.emission, high.emission, e.fraction) * select(ds, alpha / sigma, sigma > 0.0); }
-        if alpha > 0.0 && TERMS > 0u {
+        if GLOW { added = mix(low.emission, high.emission, e.fraction) * select(vec3(ds), alpha / sigmas, sigmas > vec3(0.0)); }
+        if sigma > 0.0 && TERMS > 0u {
             var scattered = in_scatter(x);
-            if SHADE { scattered *= shading(x, sigma, -ray); }
+            if SHADE { scattered *= shading(x, sigma); }
             added += alpha * albedo * scattered;
         }
         radiance += transmittance * added;
@@ -319,6 +351,8 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     rays[ray_state] = radiance.x;
     rays[ray_state + 1u] = radiance.y;
     rays[ray_state + 2u] = radiance.z;
-    rays[ray_state + 3u] = transmittance;
-    rays[ray_state + 4u] = f32(n);
+    rays[ray_state + 3u] = transmittance.x;
+    rays[ray_state + 4u] = transmittance.y;
+    rays[ray_state + 5u] = transmittance.z;
+    rays[ray_state + 6u] = f32(n);
 }

@@ -6,14 +6,19 @@ struct Params {
     // 3g* (0 without a gradient), and whether there is emission.
     forward: f32,
     glows: u32,
+    // World length below which the way from a light has no direction.
+    near: f32,
+    size: vec3<u32>,
+    spacing: vec3<f32>,
 }
 
-// A light's first-collision fluence is E·first, its current E·first·u; `current` is E·u.
+// A light's first-collision fluence is E·first, its current E·first·u: (x, y, z) is u, or where it comes from.
 struct Light {
     irradiance: f32,
-    current_x: f32,
-    current_y: f32,
-    current_z: f32,
+    x: f32,
+    y: f32,
+    z: f32,
+    radial: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -41,9 +46,16 @@ fn add_light(
     let fluence = first[i];
     source[i] += light.irradiance * fluence;
     if params.forward != 0.0 {
-        gradient_x[i] += light.current_x * fluence;
-        gradient_y[i] += light.current_y * fluence;
-        gradient_z[i] += light.current_z * fluence;
+        var u = vec3(light.x, light.y, light.z);
+        if light.radial != 0u {
+            let size = params.size;
+            let d = (vec3<f32>(vec3(i % size.x, i / size.x % size.y, i / (size.x * size.y))) - u) * params.spacing;
+            u = d / max(length(d), params.near);
+        }
+        let current = light.irradiance * fluence * u;
+        gradient_x[i] += current.x;
+        gradient_y[i] += current.y;
+        gradient_z[i] += current.z;
     }
 }
 

@@ -1,14 +1,19 @@
 //! Light sources.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::scene::{LightKeys, LightKind, Model, Scene};
 
+mod panorama;
+
+pub use panorama::{Cell, Panorama};
+
 /// A light source in world space.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Light {
     /// Parallel rays.
     Distant {
@@ -46,16 +51,23 @@ pub enum Light {
         /// Radiance per channel.
         radiance: [f32; 3],
     },
+    /// The radiance of an image all around.
+    Image {
+        /// What is all around.
+        image: Arc<Panorama>,
+        /// Factor on its radiance per channel.
+        factor: [f32; 3],
+    },
 }
 
 /// The light sources of a scene, in order.
 ///
 /// Without `[[lights]]` there are three that make a first picture look good with the default camera: a key light from its
-/// upper left, a weaker fill from its right, and a dim environment. A distant light with softness becomes
-/// seven of equal share, spread over the solid angle of its source.
+/// upper left, a weaker fill from its right, and a dim environment. In the physical model a light with softness or a radius
+/// becomes `samples` of equal share, spread over the solid angle, or the ball, that it is.
 ///
 /// # Errors
-/// [`Error::Unsupported`] for kinds that this version does not have.
+/// Those of [`Panorama::read`].
 pub fn resolve(scene: &Scene) -> Result<Vec<Light>> {
     if scene.lights.is_empty() {
         return Ok(first_picture());
@@ -65,23 +77,11 @@ pub fn resolve(scene: &Scene) -> Result<Vec<Light>> {
         let strength = keys.color.map(|c| c * keys.intensity);
         match keys.kind {
             LightKind::Distant => lights.extend(distant(keys, strength)),
-            LightKind::Environment => lights.push(Light::Environment { radiance: strength }),
-            LightKind::Point | LightKind::Cone if scene.light.model == Model::Physical => {
-                return Err(Error::Unsupported(
-                    "point and cone lights: this version has \"distant\" and \"environment\" lights".into(),
-                ));
-            }
-            LightKind::Point => {
-                lights.push(Light::Point { position: keys.position.into(), radius: keys.radius, intensity: strength });
-            }
-            LightKind::Cone => lights.push(Light::Cone {
-                position: keys.position.into(),
-                direction: DVec3::from(keys.direction).normalize().as_vec3(),
-                angle: keys.angle.to_radians() as f32,
-                edge: keys.edge.min(keys.angle).to_radians() as f32,
-                radius: keys.radius,
-                intensity: strength,
+            LightKind::Environment => lights.push(match &keys.image {
+                Some(path) => Light::Image { image: Arc::new(Panorama::read(path)?), factor: strength },
+                None => Light::Environment { radiance: strength },
             }),
+            LightKind::Point | LightKind::Cone => lights.extend(placed(keys, strength, scene.light.model)),
         }
     }
     Ok(lights)
@@ -98,27 +98,82 @@ fn first_picture() -> Vec<Light> {
     ]
 }
 
-/// Directions of a soft light: one in the middle and six round it, all standing for equal parts of the cap.
-const DIRECTIONS: usize = 7;
-
+/// A soft light's directions: one in the middle and rings of six and twelve round it, all standing for equal parts of the cap.
 fn distant(keys: &LightKeys, irradiance: [f32; 3]) -> Vec<Light> {
     let axis = DVec3::from(keys.direction).normalize();
     let light =
         |direction: DVec3, irradiance| Light::Distant { direction: direction.as_vec3().normalize(), irradiance };
-    if keys.softness == 0.0 {
-        return vec![light(axis, irradiance)];
-    }
-    let share = irradiance.map(|e| e / DIRECTIONS as f32);
+    let rings = match keys.samples {
+        _ if keys.softness == 0.0 => 0,
+        19 => 2,
+        7 => 1,
+        _ => 0,
+    };
+    let count = (1 + 3 * rings * (rings + 1)) as f64;
+    let share = irradiance.map(|e| e / count as f32);
     let (side, other) = axis.any_orthonormal_pair();
-    // The mean cosine over a cap of half angle θ is (1 + cos θ)/2: seven directions share it when the ring has this one.
-    let count = DIRECTIONS as f64;
-    let cos = 1.0 - (1.0 - keys.softness.to_radians().cos()) * count / (2.0 * (count - 1.0));
-    let sin = (1.0 - cos * cos).sqrt();
-    let ring = (1..DIRECTIONS).map(|i| {
-        let angle = TAU * i as f64 / (DIRECTIONS - 1) as f64;
-        light(cos * axis + sin * (angle.cos() * side + angle.sin() * other), share)
+    // The middle of a ring's part of the cap, stretched so that the mean cosine is that of the cap, (1 + cos θ)/2: the middle
+    // of the cap stands on its axis.
+    let middle = |ring: usize| (1 + 3 * ring * ring) as f64 / count;
+    let stretch = 0.5 * count / (1..=rings).map(|ring| (6 * ring) as f64 * middle(ring)).sum::<f64>();
+    let spread = 1.0 - keys.softness.to_radians().cos();
+    let ring = |ring: usize| {
+        let cos = 1.0 - spread * middle(ring) * stretch;
+        let sin = (1.0 - cos * cos).sqrt();
+        (0..6 * ring).map(move |i| {
+            let angle = TAU * (i as f64 + 0.5 * (ring - 1) as f64) / (6 * ring) as f64;
+            light(cos * axis + sin * (angle.cos() * side + angle.sin() * other), share)
+        })
+    };
+    std::iter::once(light(axis, share)).chain((1..=rings).flat_map(ring)).collect()
+}
+
+/// A point or cone light; in the physical model the points of equal share that stand for it.
+fn placed(keys: &LightKeys, intensity: [f32; 3], model: Model) -> Vec<Light> {
+    let offsets = match model {
+        Model::Physical if keys.radius > 0.0 => ball(keys.samples),
+        _ => vec![DVec3::ZERO],
+    };
+    let intensity = intensity.map(|i| i / offsets.len() as f32);
+    let direction = DVec3::from(keys.direction).normalize().as_vec3();
+    let at = |offset: DVec3| {
+        let (position, radius) = (DVec3::from(keys.position) + keys.radius * offset, keys.radius);
+        match keys.kind {
+            LightKind::Cone => Light::Cone {
+                position,
+                direction,
+                angle: keys.angle.to_radians() as f32,
+                edge: keys.edge.to_radians() as f32,
+                radius,
+                intensity,
+            },
+            _ => Light::Point { position, radius, intensity },
+        }
+    };
+    offsets.into_iter().map(at).collect()
+}
+
+/// Points in the unit ball that stand for it: seen from any side their mean square distance from the middle is that of an
+/// even disk, ¼ along each axis, so that penumbras are as wide. The middle; with it the six points along the axes; with
+/// them the twelve between two axes.
+fn ball(samples: usize) -> Vec<DVec3> {
+    let signs = [-1.0, 1.0];
+    let axes = DVec3::AXES.into_iter().flat_map(|axis| signs.map(|s| s * axis));
+    let edges = (0..3).flat_map(|a| {
+        let [b, c] = [(a + 1) % 3, (a + 2) % 3].map(|i| DVec3::AXES[i]);
+        signs.into_iter().flat_map(move |s| signs.map(|t| (s * b + t * c) / 2f64.sqrt()))
     });
-    std::iter::once(light(axis, share)).chain(ring).collect()
+    // Σ r²/3 = samples/4.
+    let middle = std::iter::once(DVec3::ZERO);
+    match samples {
+        7 => middle.chain(axes.map(|p| p * (7.0f64 / 8.0).sqrt())).collect(),
+        19 => {
+            let inner: f64 = 0.7;
+            let outer = ((0.75 * 19.0 - 6.0 * inner * inner) / 12.0).sqrt();
+            middle.chain(axes.map(|p| inner * p)).chain(edges.map(|p| outer * p)).collect()
+        }
+        _ => middle.collect(),
+    }
 }
 
 #[cfg(test)]
@@ -145,10 +200,12 @@ mod tests {
 
     #[test]
     fn a_soft_light_keeps_its_irradiance_and_stays_within_its_angle() {
-        for softness in [0.5f64, 5.0, 40.0] {
-            let text = format!("[[lights]]\ndirection = [1, 2, -3]\nintensity = 3\nsoftness = {softness}");
+        for (softness, samples) in [(0.5f64, 7), (5.0, 7), (40.0, 7), (5.0, 19), (60.0, 19)] {
+            let text = format!(
+                "[[lights]]\ndirection = [1, 2, -3]\nintensity = 3\nsoftness = {softness}\nsamples = {samples}"
+            );
             let lights = resolve(&scene(&text)).unwrap();
-            assert_eq!(lights.len(), 7);
+            assert_eq!(lights.len(), samples);
             let axis = Vec3::new(1.0, 2.0, -3.0).normalize();
             let (mut total, mut mean) = (0.0, Vec3::ZERO);
             for light in &lights {
@@ -156,13 +213,38 @@ mod tests {
                 assert!((direction.length() - 1.0).abs() < 1e-6);
                 assert!(f64::from(direction.angle_between(axis)) <= softness.to_radians());
                 total += irradiance[0];
-                mean += *direction / 7.0;
+                mean += *direction / samples as f32;
             }
             assert!((total - 3.0).abs() < 1e-5);
             assert!(mean.normalize().dot(axis) > 1.0 - 1e-6, "symmetric about the axis");
             // Over a cap of half angle θ the mean of the cosine is (1 + cos θ)/2.
             let exact = 0.5 * (1.0 + softness.to_radians().cos());
             assert!((f64::from(mean.dot(axis)) - exact).abs() < 1e-6, "{} {exact}", mean.dot(axis));
+        }
+    }
+
+    #[test]
+    fn a_ball_of_light_keeps_its_intensity_and_is_as_wide_as_a_disk_from_every_side() {
+        for samples in [7, 19] {
+            let text = format!(
+                "[[lights]]\nkind = \"point\"\nposition = [1, 2, 3]\nradius = 0.5\nintensity = 3\nsamples = {samples}"
+            );
+            let lights = resolve(&scene(&text)).unwrap();
+            assert_eq!(lights.len(), samples);
+            let mut total = 0.0;
+            let mut second = glam::DMat3::ZERO;
+            for light in &lights {
+                let Light::Point { position, intensity, .. } = light else { panic!("{light:?}") };
+                let offset = (*position - DVec3::new(1.0, 2.0, 3.0)) / 0.5;
+                assert!(offset.length() <= 1.0);
+                total += f64::from(intensity[1]);
+                second += glam::DMat3::from_cols(offset * offset.x, offset * offset.y, offset * offset.z);
+            }
+            assert!((total - 3.0).abs() < 1e-5);
+            // An even disk of radius 1 has the mean square ¼ along each axis across the view.
+            assert!(
+                (second * (1.0 / samples as f64)).abs_diff_eq(glam::DMat3::from_diagonal(DVec3::splat(0.25)), 1e-12)
+            );
         }
     }
 

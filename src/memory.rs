@@ -22,6 +22,8 @@ struct Needs {
     direct: ([u64; 3], u64),
     /// A volume of what is solved in memory, and how many there are.
     solved: ([u64; 3], u64),
+    /// Direct light is solved in memory too.
+    near: bool,
     /// Values of all pictures of a step.
     frames: u64,
 }
@@ -42,6 +44,7 @@ impl Needs {
         Ok(Needs {
             data: grid.size.map(|n| n as u64),
             direct: (direct_size, direct),
+            near: scene.light.model == Model::Physical && lamps(&lights),
             solved: (size(scene.light.resolution), solved),
             frames: STEPS * 4 * pixels * scene.cameras.len().max(1) as u64,
         })
@@ -50,19 +53,30 @@ impl Needs {
 
 /// Volumes of direct and of scattered light in the physical model.
 fn physical(scene: &Scene, lights: &[Light]) -> Result<(u64, u64)> {
-    let directions = lights.iter().filter(|l| !matches!(l, Light::Environment { .. })).count() as u64;
-    let bright = lights.iter().any(|l| matches!(l, Light::Environment { .. }));
-    if !scene.light.scattering && !bright {
-        return Ok((directions, 0));
+    let mut factors = scene.transfer.chromatic.map(f32::to_bits).to_vec();
+    factors.sort_unstable();
+    factors.dedup();
+    let all_around = |l: &Light| matches!(l, Light::Environment { .. } | Light::Image { .. });
+    let sources = (lights.iter().filter(|l| !all_around(l)).count() * factors.len()) as u64;
+    // A lamp's light once more with its falloff.
+    let direct = sources + u64::from(lamps(lights));
+    if !scene.light.scattering && !lights.iter().any(all_around) {
+        return Ok((direct, 0));
     }
     let channels = if gray(scene, lights)? { 1 } else { 3 };
     let glows = !scene.transfer.emission.is_empty();
-    Ok((directions, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + directions))
+    Ok((direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources))
+}
+
+/// True where a light is in one place.
+fn lamps(lights: &[Light]) -> bool {
+    lights.iter().any(|l| matches!(l, Light::Point { .. } | Light::Cone { .. }))
 }
 
 /// Volumes of the paper's model.
 fn paper(scene: &Scene, lights: &[Light]) -> u64 {
-    let convected = lights.iter().filter(|l| !matches!(l, Light::Environment { .. })).count() as u64;
+    let convected =
+        lights.iter().filter(|l| !matches!(l, Light::Environment { .. } | Light::Image { .. })).count() as u64;
     let physical = scene.light.falloff == Falloff::Physical;
     let spread = lights.iter().filter(|l| match l {
         Light::Cone { .. } => true,
@@ -91,14 +105,15 @@ fn gray(scene: &Scene, lights: &[Light]) -> Result<bool> {
     let light = |l: &Light| match l {
         Light::Distant { irradiance, .. } => even(irradiance),
         Light::Environment { radiance } => even(radiance),
-        _ => false,
+        Light::Point { intensity, .. } | Light::Cone { intensity, .. } => even(intensity),
+        Light::Image { .. } => false,
     };
     Ok(table.gray() && table.emission.iter().all(even) && lights.iter().all(light))
 }
 
 /// Bytes that lighting data on `grid` takes at most, every step in memory as a whole.
 pub fn working_set(scene: &Scene, grid: &Grid) -> Result<u64> {
-    let Needs { data, direct, solved, frames } = Needs::new(scene, grid)?;
+    let Needs { data, direct, solved, frames, .. } = Needs::new(scene, grid)?;
     // Extinction now and before, and the light of each source.
     let direct = values(direct.0) * (2 + direct.1);
     Ok(4 * (STEPS * values(data) + direct + values(solved.0) * solved.1 + frames))
@@ -106,7 +121,7 @@ pub fn working_set(scene: &Scene, grid: &Grid) -> Result<u64> {
 
 /// The least budget, in bytes, within which data on `grid` can be lit, its volumes a slab at a time.
 pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
-    let Needs { data, direct: (light, lights), solved: (coarse, volumes), .. } = Needs::new(scene, grid)?;
+    let Needs { data, direct: (light, lights), solved: (coarse, volumes), near, .. } = Needs::new(scene, grid)?;
     // As the paged device counts: a slab of one plane, and what it shares with its neighbours.
     let per = |size: [u64; 3], planes: u64| values(size).div_ceil(planes.max(1));
     let plane = |size: [u64; 3]| size[0] * size[1];
@@ -114,12 +129,15 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     let shade = if scene.render.shading == Shading::Phong { 2 } else { 0 };
     let [w, h] = scene.render.size.map(|n| n as u64);
     let cells = (data[2] - 1).max(1);
-    let march = (4 + shade) * 2 * (per(data, cells) + per(light, cells) * lights) + 5 * w * h;
+    let march = (4 + shade) * 2 * (per(data, cells) + per(light, cells) * lights) + 7 * w * h;
     let below = per(data, coarse[2]).max(per(light, coarse[2]));
     let coarser = 2 * below + 2 * plane(coarse) + 4 * plane(data).max(plane(light));
     let mut least = march;
     if lights > 0 {
         least = least.max(sweep);
+    }
+    if near {
+        least = least.max(sweep) + values(light) * (2 + lights);
     }
     if volumes > 0 {
         least = least.max(coarser) + values(coarse) * volumes;

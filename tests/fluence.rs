@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, Sweep};
+use gloaming::device::{Buffer, Device, Sweep, Travel};
 use gloaming::light::ordinates::{ScatterProblem, Scattered};
 use gloaming::{BrickLayout, Grid};
 
@@ -99,8 +99,9 @@ fn solved(device: &dyn Device, case: &Case, g: f64, directions: usize) -> Vec<f6
         sigma: &sigma,
         scattering: std::slice::from_ref(&scattering),
         emission: &[],
-        first: &[(&first, [1.0; 3], u)],
-        environment: [0.0; 3],
+        first: &[(&first, [1.0; 3], Travel::Along(u))],
+        environment: &[],
+        chromatic: [1.0; 3],
         anisotropy: g as f32,
         directions,
         tolerance: 1e-3,

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gloaming::Grid;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, Ordinate, SourceTerm, Sweep, Transport};
+use gloaming::device::{Buffer, Device, Ordinate, SourceTerm, Sweep, Transport, Travel};
 use gloaming::light::ordinates::{ScatterProblem, ScatterReport, Scattered, Start, ordinates};
 use gloaming::{BrickLayout, Error};
 
@@ -221,8 +221,9 @@ impl Setting {
             sigma: &self.sigma,
             scattering: &self.scattering,
             emission: &self.emission,
-            first: &[(&self.first, self.irradiance, Vec3::NEG_Z)],
-            environment: self.environment,
+            first: &[(&self.first, self.irradiance, Travel::Along(Vec3::NEG_Z))],
+            environment: &[self.environment; 32],
+            chromatic: [1.0; 3],
             anisotropy: self.anisotropy,
             directions: 32,
             tolerance,
@@ -306,6 +307,7 @@ fn emitted_light_is_absorbed_or_leaks() {
             sigma: &setting.sigma,
             scattering: &setting.scattering[0],
             emission: Some(&setting.emission[0]),
+            grid: &grid,
             first: &[],
             phi: solution.fluence()[0].0,
             current: None,
@@ -469,8 +471,9 @@ fn without_scattering_only_the_environment_remains() {
         sigma: &setting.sigma,
         scattering: &setting.scattering,
         emission: &[],
-        first: &[(&setting.first, [1.0; 3], Vec3::NEG_Z)],
-        environment: [0.5; 3],
+        first: &[(&setting.first, [1.0; 3], Travel::Along(Vec3::NEG_Z))],
+        environment: &[[0.5; 3]; 32],
+        chromatic: [1.0; 3],
         anisotropy: 0.0,
         directions: 32,
         tolerance: 1e-3,
@@ -522,8 +525,9 @@ fn scattered_light_of_the_reference_scene() {
         sigma: &setting.sigma,
         scattering: &setting.scattering,
         emission: &[],
-        first: &[(&setting.first, setting.irradiance, u)],
-        environment: [0.0; 3],
+        first: &[(&setting.first, setting.irradiance, Travel::Along(u))],
+        environment: &[],
+        chromatic: [1.0; 3],
         anisotropy: 0.0,
         directions: 32,
         tolerance: 1e-4,

@@ -14,6 +14,7 @@ use gloaming::transfer::Table;
 fn linear(sigma: f32, albedo: [f32; 3]) -> Table {
     let last = (Table::ENTRIES - 1) as f32;
     Table {
+        chromatic: [1.0; 3],
         lo: 0.0,
         hi: 1.0,
         extinction: (0..Table::ENTRIES).map(|i| sigma * i as f32 / last).collect(),

@@ -205,9 +205,6 @@ fn what_is_not_built_is_refused_by_name_with_what_works() {
         ("[render]\nkind = \"pathtrace\"", ["render.kind", "pathtrace", "\"raycast\""]),
         ("[render]\nkind = \"isosurface\"", ["render.kind", "isosurface", "\"raycast\""]),
         ("[render]\nkind = \"slices\"", ["render.kind", "slices", "\"raycast\""]),
-        ("[[lights]]\nkind = \"point\"", ["lights.0.kind", "point", "\"distant\""]),
-        ("[[lights]]\nkind = \"cone\"", ["lights.0.kind", "cone", "\"environment\""]),
-        ("[[lights]]\nkind = \"environment\"\nimage = \"sky.exr\"", ["lights.0.image", "sky.exr", "`color`"]),
         ("[[cameras]]\naperture = 0.1", ["cameras.0.aperture", "0.1", "leave it 0"]),
     ] {
         let error = parse(text).unwrap_err();

@@ -7,7 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::camera::Camera;
 use crate::error::Result;
@@ -147,6 +147,134 @@ impl Sweep {
     }
 }
 
+/// Geometry of one pass of short characteristics away from a point (light.md, direct light).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointSweep {
+    /// Values along x, y, z.
+    pub size: [usize; 3],
+    /// The first index at or beyond the light along each axis.
+    pub cell: [i32; 3],
+    /// How far beyond, in voxels: 0 ≤ fraction < 1.
+    pub fraction: [f32; 3],
+    /// Length of a step of one voxel along each axis: the world's, times any factor on extinction.
+    pub spacing: [f32; 3],
+}
+
+/// What lies behind the end of a brick along an axis, as its light sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Edge {
+    /// Nothing that the brick needs.
+    Downstream,
+    /// A layer that an earlier front has solved, or the outside of the grid.
+    Upstream,
+    /// The other one of the two columns beside the light's plane: the brick solves it too.
+    Ghost,
+}
+
+impl PointSweep {
+    /// Farther lights, in voxels, are brought this near: their rays are parallel to a millionth.
+    const FARTHEST: f64 = (1 << 20) as f64;
+
+    /// The sweep of `grid` away from world position `position`, with extinction times `factor`.
+    pub fn new(grid: &Grid, position: DVec3, factor: f32) -> Self {
+        let (spacing, origin) = (DVec3::from(grid.spacing), DVec3::from(grid.origin));
+        let middle = 0.5 * DVec3::from(grid.size.map(|n| n as f64 - 1.0));
+        let at = (position - origin) / spacing;
+        let at = middle + (at - middle).clamp_length_max(Self::FARTHEST);
+        // To a millionth of a voxel, so that a light that is meant to be on a voxel is on it.
+        let at = (at * Self::FARTHEST).round() / Self::FARTHEST;
+        Self {
+            size: grid.size,
+            cell: at.ceil().as_ivec3().to_array(),
+            fraction: (at.ceil() - at).as_vec3().to_array(),
+            spacing: (spacing * f64::from(factor)).as_vec3().to_array(),
+        }
+    }
+
+    /// Offset of index `i` from the light along an axis, in voxels.
+    pub fn offset(&self, axis: usize, i: i32) -> f32 {
+        let (cell, fraction) = (self.cell[axis], self.fraction[axis]);
+        if i >= cell { (i - cell) as f32 + fraction } else { -((cell - 1 - i) as f32 + (1.0 - fraction)) }
+    }
+
+    /// Whole voxels between the light and index `i` along an axis.
+    pub fn layer(&self, axis: usize, i: i32) -> i32 {
+        if i >= self.cell[axis] { i - self.cell[axis] } else { self.near(axis)[0] - i }
+    }
+
+    /// The lowest and the highest index of layer 0: a pair unless the light is on a plane of voxels.
+    fn near(&self, axis: usize) -> [i32; 2] {
+        [self.cell[axis] - i32::from(self.fraction[axis] > 0.0), self.cell[axis]]
+    }
+
+    /// What lies before index `start` and behind index `end − 1` of a brick.
+    pub fn edges(&self, axis: usize, start: i32, end: i32) -> [Edge; 2] {
+        let [low, high] = self.near(axis);
+        let ghost = |inside: bool| if inside { Edge::Ghost } else { Edge::Downstream };
+        [
+            if start > high { Edge::Upstream } else { ghost(start == high && low < high && start > 0) },
+            if end <= low { Edge::Upstream } else { ghost(end == high && low < high && end < self.size[axis] as i32) },
+        ]
+    }
+
+    /// Bricks between the light and brick coordinate `c` along an axis.
+    fn depth(&self, layout: &BrickLayout, axis: usize, c: usize) -> usize {
+        let [low, high] = self.near(axis);
+        let (start, end) = (c * layout.edge, ((c + 1) * layout.edge).min(layout.size[axis]));
+        if start as i32 > high {
+            c - if high < 0 { 0 } else { high as usize / layout.edge }
+        } else if end as i32 <= low {
+            (low as usize / layout.edge).min(layout.counts()[axis] - 1) - c
+        } else {
+            0
+        }
+    }
+
+    /// Bricks ordered outward from the light: those of one front do not depend on each other.
+    pub fn fronts(&self, layout: &BrickLayout) -> Vec<Vec<u32>> {
+        let mut fronts: Vec<Vec<u32>> = Vec::new();
+        for b in 0..layout.len() {
+            let c = layout.coords(b);
+            let depth = (0..3).map(|a| self.depth(layout, a, c[a])).sum();
+            if fronts.len() <= depth {
+                fronts.resize(depth + 1, Vec::new());
+            }
+            fronts[depth].push(b as u32);
+        }
+        // A light far outside leaves no gap: depths along an axis begin at 0.
+        fronts
+    }
+
+    /// The bricks that brick `b` reads light from.
+    pub fn upstream(&self, layout: &BrickLayout, b: usize) -> Vec<u32> {
+        let coords = layout.coords(b);
+        let region = layout.region(b);
+        // For each axis the neighbour that may be read, and whether it is upstream.
+        let beside: [Option<(usize, bool)>; 3] = std::array::from_fn(|a| {
+            let [low, high] = self.edges(a, region.start[a] as i32, region.end()[a] as i32);
+            let (edge, to) = match (low, high) {
+                (Edge::Downstream, high) => (high, coords[a] + 1),
+                (low, _) => (low, coords[a].wrapping_sub(1)),
+            };
+            (edge != Edge::Downstream && to < layout.counts()[a]).then_some((to, edge == Edge::Upstream))
+        });
+        (1..8usize)
+            .filter_map(|mask| {
+                let mut c = coords;
+                let mut upstream = false;
+                for a in 0..3 {
+                    if mask >> a & 1 == 1 {
+                        let (to, up) = beside[a]?;
+                        c[a] = to;
+                        upstream |= up;
+                    }
+                }
+                upstream.then(|| layout.number(c) as u32)
+            })
+            .collect()
+    }
+}
+
 /// One discrete ordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ordinate {
@@ -176,6 +304,78 @@ pub struct Transport<'a> {
     pub gradient: Option<[&'a Buffer; 3]>,
 }
 
+/// A light in one place. Per unit of radiant intensity its irradiance in vacuum, at distance r and angle θ from the cone's
+/// axis, is `t²(3 − 2t)/max(r, radius)²` with `t = (cos θ − outer)/(inner − outer)` clamped to 0..1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lamp {
+    /// World position.
+    pub position: DVec3,
+    /// World length below which 1/r² does not grow any more; nor does it below 0.36 voxels of the grid at hand, which is
+    /// what 1/r² is in the mean over a ball as large as a voxel round the light.
+    pub radius: f64,
+    /// The cone that it is limited to, if any.
+    pub cone: Option<Cone>,
+}
+
+/// Where a [`Lamp`] shines.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cone {
+    /// The way the light travels along the axis, unit.
+    pub axis: Vec3,
+    /// Cosine of the angle at which the light ends.
+    pub outer: f32,
+    /// Cosine of the angle within which it is full.
+    pub inner: f32,
+}
+
+/// A [`Lamp`] in the index space of a grid, as kernels take it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Falloff {
+    pub position: Vec3,
+    pub spacing: Vec3,
+    /// Square of the lamp's radius.
+    pub floor: f32,
+    pub axis: Vec3,
+    pub outer: f32,
+    /// 1/(inner − outer).
+    pub slope: f32,
+}
+
+impl Lamp {
+    /// Voxels from the light within which 1/r² in the middle of a voxel is more than a hundredth below its mean.
+    pub const NEAR: f32 = 2.5;
+    /// Points along an edge of such a voxel.
+    pub(crate) const PARTS: usize = 4;
+
+    /// On a grid of which each voxel stands for `parts`³ points.
+    pub(crate) fn on(&self, grid: &Grid, parts: usize) -> Falloff {
+        let spacing = DVec3::from(grid.spacing);
+        // In a ball of radius R the mean of 1/r² is 3/R².
+        let ball = (0.75 / std::f64::consts::PI * grid.spacing.iter().product::<f64>()).cbrt();
+        let least = ball / 3f64.sqrt() / parts as f64;
+        // Without a cone the axis is 0, and t = 1 whatever the angle.
+        let cone = self.cone.unwrap_or(Cone { axis: Vec3::ZERO, outer: -1.0, inner: 0.0 });
+        Falloff {
+            position: ((self.position - DVec3::from(grid.origin)) / spacing).as_vec3(),
+            spacing: spacing.as_vec3(),
+            floor: (self.radius.max(least) * self.radius.max(least)) as f32,
+            axis: cone.axis,
+            outer: cone.outer,
+            slope: 1.0 / (cone.inner - cone.outer).max(1e-6),
+        }
+    }
+}
+
+/// The way the direct light of a source travels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Travel {
+    /// Everywhere along this unit direction.
+    Along(Vec3),
+    /// Away from this world position: `u = (x − P)/max(|x − P|, Δ)`, Δ the mean spacing, as the mean over a voxel that holds
+    /// the light has no direction.
+    From(DVec3),
+}
+
 /// One colour channel's part in the source function
 /// `S = [σ_s*/4π · (φ + ΣE_l + 3g* Ω·(J + ΣE_l u_l)) + emission] / σ*` of [`Device::source`].
 pub struct SourceTerm<'a> {
@@ -185,8 +385,10 @@ pub struct SourceTerm<'a> {
     pub scattering: &'a Buffer,
     /// Emission per world length of the channel, if any.
     pub emission: Option<&'a Buffer>,
-    /// First-collision fluence of each light on this grid, with the channel's irradiance and the light's direction.
-    pub first: &'a [(&'a Buffer, f32, Vec3)],
+    /// Where the values sit.
+    pub grid: &'a Grid,
+    /// First-collision fluence of each light on this grid, with the channel's factor on it and the light's direction.
+    pub first: &'a [(&'a Buffer, f32, Travel)],
     /// Fluence of scattered light.
     pub phi: &'a Buffer,
     /// Its current J and 3g*, where scattering is anisotropic.
@@ -203,7 +405,7 @@ pub struct Term<'a> {
     pub weight: Weight,
 }
 
-/// Weight of a [`Term`], constant along a ray.
+/// Weight of a [`Term`]; constant along a ray but for a lamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Weight {
     /// The same for every ray: `φ/4π` of a colour channel, say.
@@ -214,6 +416,15 @@ pub enum Weight {
         direction: Vec3,
         /// Irradiance per channel.
         irradiance: [f32; 3],
+        /// Henyey–Greenstein g.
+        g: f32,
+    },
+    /// Direct light of a lamp at x: `intensity · falloff(x) · p(cos θ)`, θ between x − P and the way to the eye.
+    Lamp {
+        /// Where it is and how its light falls off.
+        lamp: Lamp,
+        /// Radiant intensity per channel.
+        intensity: [f32; 3],
         /// Henyey–Greenstein g.
         g: f32,
     },
@@ -252,9 +463,10 @@ pub struct Phong {
 ///   inside it), and sampled in the middle of each, so that a homogeneous medium has its exact optical depth at any step.
 /// - A sample of length `ds` has opacity `α = 1 − e^(−σ_t ds)`; it adds `T·(α·ω·max(0, Σ weight·value) + j·α/σ_t)`, the last
 ///   factor being `ds` where σ_t = 0.
+/// - Where extinction differs between colour channels each has its own α and T; a pixel's coverage is `1 − T` with the mean T.
 /// - Data and terms are trilinear between values and clamped in the rim of half a value.
 /// - Skipping empty bricks never moves a sample: the picture is the same to the bit with and without it.
-/// - A ray ends when its transmittance falls below [`March::OPAQUE`].
+/// - A ray ends when its transmittance, in every channel, falls below [`March::OPAQUE`].
 pub struct March<'a> {
     /// The data grid.
     pub grid: &'a Grid,
@@ -289,20 +501,22 @@ impl March<'_> {
 pub struct Ray {
     /// Radiance so far, from the eye on.
     pub radiance: [f32; 3],
-    /// Transmittance so far.
-    pub transmittance: f32,
+    /// Transmittance so far, per channel.
+    pub transmittance: [f32; 3],
     /// Number of the next sample.
     pub next: f32,
 }
 
 impl Ray {
     /// A ray that has not met anything.
-    pub const FRESH: Ray = Ray { radiance: [0.0; 3], transmittance: 1.0, next: 0.0 };
+    pub const FRESH: Ray = Ray { radiance: [0.0; 3], transmittance: [1.0; 3], next: 0.0 };
 
     /// What the ray has gathered: radiance and coverage.
     pub fn pixel(&self) -> [f32; 4] {
         let [r, g, b] = self.radiance;
-        [r, g, b, 1.0 - self.transmittance]
+        let [x, y, z] = self.transmittance;
+        let passed = if x == y && y == z { x } else { (x + y + z) * (1.0 / 3.0) };
+        [r, g, b, 1.0 - passed]
     }
 }
 
@@ -420,6 +634,21 @@ pub trait Device: Send + Sync {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>>;
+
+    /// Direct light from a point, the same way: `ρ = ρ_foot · exp(−½(σ_foot + σ)·length)` with feet on the ray from the light,
+    /// in [`PointSweep::fronts`]. Voxels within two voxels of the light take the exact integral along their ray.
+    fn sweep_point(
+        &self,
+        sweep: &PointSweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>>;
+
+    /// Transmittance to irradiance per unit of radiant intensity: `out = ρ · falloff(x)`, see [`Lamp`]. Within
+    /// [`Lamp::NEAR`] voxels of the light along every axis the falloff is the mean of 4³ points of a voxel.
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()>;
 
     /// Source function of scattered light: see [`SourceTerm`]. `gradient` is written where `term.current` is given.
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()>;

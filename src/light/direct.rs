@@ -8,22 +8,120 @@
 //! tolerance (more of it downstream), and swept otherwise. At tolerance 0 only bricks whose inputs are the same to the bit
 //! are left alone, so the result is that of a cold solve to the bit.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
-use crate::device::{Buffer, Device, Sweep};
+use crate::device::{Buffer, Device, PointSweep, Sweep};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
 
 /// Rounding that a brick may add to a difference, in units of the last place of 1.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Direct light of one distant light: transmittance from the light to every voxel of a grid.
+/// The rays of a light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rays {
+    /// Of a distant light.
+    Parallel(Sweep),
+    /// From a point.
+    Radial(PointSweep),
+}
+
+impl Rays {
+    /// Parallel rays along unit world direction `direction`, through extinction times `factor`.
+    pub fn parallel(grid: &Grid, direction: Vec3, cubic: bool, factor: f32) -> Self {
+        let sweep = Sweep::new(grid, direction, cubic);
+        Rays::Parallel(Sweep { length: factor * sweep.length, ..sweep })
+    }
+
+    /// Rays from world position `position`, through extinction times `factor`; feet are always bilinear.
+    pub fn radial(grid: &Grid, position: DVec3, factor: f32) -> Self {
+        Rays::Radial(PointSweep::new(grid, position, factor))
+    }
+
+    /// The rays' order of bricks: fronts, and the bricks that each brick reads.
+    fn order(&self, layout: &BrickLayout) -> (Vec<Vec<u32>>, Vec<Vec<u32>>) {
+        match self {
+            Rays::Parallel(sweep) => {
+                let ascending = sweep.ascending();
+                let upstream = (0..layout.len()).map(|b| upstream(layout, b, ascending)).collect();
+                (layout.fronts(ascending), upstream)
+            }
+            Rays::Radial(sweep) => {
+                (sweep.fronts(layout), (0..layout.len()).map(|b| sweep.upstream(layout, b)).collect())
+            }
+        }
+    }
+
+    /// For each brick, the longest step of a path per layer along each axis; 0 along an axis that no path in it steps along.
+    fn steps(&self, layout: &BrickLayout) -> Vec<[f32; 3]> {
+        let step = |b: usize| match self {
+            Rays::Parallel(sweep) => std::array::from_fn(|a| if a == sweep.axis() { sweep.length } else { 0.0 }),
+            Rays::Radial(sweep) => {
+                let region = layout.region(b);
+                let span: [[f32; 2]; 3] = std::array::from_fn(|a| {
+                    // Ghosts are one voxel beyond the brick.
+                    let (first, last) = (region.start[a] as i32 - 1, region.end()[a] as i32);
+                    let ends = [sweep.offset(a, first), sweep.offset(a, last)];
+                    let far = ends[0].abs().max(ends[1].abs());
+                    [if ends[0] * ends[1] < 0.0 { 0.0 } else { ends[0].abs().min(ends[1].abs()) }, far]
+                });
+                std::array::from_fn(|a| {
+                    let others = [(a + 1) % 3, (a + 2) % 3];
+                    if others.iter().any(|&o| span[o][0] > span[a][1]) {
+                        return 0.0;
+                    }
+                    let aside = |o: usize| sweep.spacing[o] * (span[o][1] / span[a][0].max(1.0)).min(1.0);
+                    let [x, y] = others.map(aside);
+                    (sweep.spacing[a].powi(2) + x * x + y * y).sqrt()
+                })
+            }
+        };
+        (0..layout.len()).map(step).collect()
+    }
+
+    /// Bricks with voxels that take the integral along their ray, and the longest such ray.
+    fn beside(&self, layout: &BrickLayout) -> (Vec<u32>, f32) {
+        let Rays::Radial(sweep) = self else { return (vec![], 0.0) };
+        let near = |a: usize, start: usize, end: usize| (start..end).any(|i| sweep.layer(a, i as i32) <= 1);
+        let bricks = (0..layout.len()).filter(|&b| {
+            let region = layout.region(b);
+            (0..3).all(|a| near(a, region.start[a], region.end()[a]))
+        });
+        (bricks.map(|b| b as u32).collect(), 2.0 * Vec3::from(sweep.spacing).length())
+    }
+
+    fn cubic(&self) -> bool {
+        matches!(self, Rays::Parallel(sweep) if sweep.cubic)
+    }
+
+    fn sweep(
+        &self,
+        device: &dyn Device,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        match self {
+            Rays::Parallel(sweep) => device.sweep(sweep, layout, sigma, rho, fronts),
+            Rays::Radial(sweep) => device.sweep_point(sweep, layout, sigma, rho, fronts),
+        }
+    }
+}
+
+/// Direct light of one light: transmittance from the light to every voxel of a grid.
 pub struct Direct {
     /// Transmittance ρ, 0..1, (z, y, x).
     pub rho: Buffer,
-    sweep: Sweep,
+    rays: Rays,
     fronts: Vec<Vec<u32>>,
+    upstream: Vec<Vec<u32>>,
+    /// See [`Rays::steps`] and [`Rays::beside`].
+    steps: Vec<[f32; 3]>,
+    beside: (Vec<u32>, f32),
     bricks: Vec<Brick>,
+    /// Largest change of a brick's downstream faces in this step.
+    moved: Vec<f32>,
     solved: bool,
 }
 
@@ -34,8 +132,6 @@ struct Brick {
     depth: f32,
     /// Drift of the light that enters since then.
     inflow: f32,
-    /// Largest change of an upstream neighbour's face in this step.
-    arriving: f32,
     /// Bound on the error against a cold solve.
     error: f32,
 }
@@ -56,14 +152,23 @@ pub struct DirectReport {
 impl Direct {
     /// Allocates the state for light that travels along unit world direction `direction`.
     pub fn new(device: &dyn Device, grid: &Grid, layout: &BrickLayout, direction: Vec3, cubic: bool) -> Result<Self> {
-        let sweep = Sweep::new(grid, direction, cubic);
-        Ok(Direct {
-            rho: device.alloc(grid.len())?,
-            sweep,
-            fronts: layout.fronts(sweep.ascending()),
+        Ok(Self::of(device.alloc(grid.len())?, layout, Rays::parallel(grid, direction, cubic, 1.0)))
+    }
+
+    /// The state for any rays, in memory for ρ that somebody allocated.
+    pub fn of(rho: Buffer, layout: &BrickLayout, rays: Rays) -> Self {
+        let (fronts, upstream) = rays.order(layout);
+        Direct {
+            rho,
+            rays,
+            fronts,
+            upstream,
+            steps: rays.steps(layout),
+            beside: rays.beside(layout),
             bricks: vec![Brick::default(); layout.len()],
+            moved: vec![0.0; layout.len()],
             solved: false,
-        })
+        }
     }
 
     /// Solves for `sigma`. `change` is [`Device::change`] against the medium of the previous call, `None` for a cold solve.
@@ -78,14 +183,15 @@ impl Direct {
     ) -> Result<DirectReport> {
         let mut report = DirectReport { bricks_total: layout.len() as u64, ..Default::default() };
         // A cubic foot is not certified by bricks: unless nothing changed at all, everything is swept.
-        let still = |c: &[[f32; 3]]| c.iter().all(|c| c[self.sweep.axis()] == 0.0);
+        let still = |c: &[[f32; 3]]| c.iter().flatten().all(|c| *c == 0.0);
         // Where nothing is known of any brick, all at once is the faster way.
-        let known = |c: &[[f32; 3]]| c.iter().any(|c| c[self.sweep.axis()].is_finite());
-        let change = change.filter(|c| self.solved && known(c) && (!self.sweep.cubic || still(c)));
+        let known = |c: &[[f32; 3]]| c.iter().flatten().any(|c| c.is_finite());
+        let change = change.filter(|c| self.solved && known(c) && (!self.rays.cubic() || still(c)));
+        // Until every front is done the state is neither the old nor the new solution.
+        self.solved = false;
         let Some(change) = change else {
-            self.solved = false;
             let fronts: Vec<&[u32]> = self.fronts.iter().map(|f| &f[..]).collect();
-            device.sweep(&self.sweep, layout, sigma, &mut self.rho, &fronts)?;
+            self.rays.sweep(device, layout, sigma, &mut self.rho, &fronts)?;
             self.bricks.fill(Brick::default());
             self.solved = true;
             report.bricks_active = layout.len() as u64;
@@ -93,21 +199,26 @@ impl Direct {
             return Ok(report);
         };
 
-        // Until every front is done the state is neither the old nor the new solution.
-        self.solved = false;
-        let axis = self.sweep.axis();
-        // `change` is per unit spacing along the axis; a path crosses a layer in `length`.
-        let per_change = self.sweep.length;
+        // No |Δσ| in a brick is larger than its change along any axis.
+        let beside = self.beside.0.iter().map(|&b| change[b as usize].into_iter().fold(f32::INFINITY, f32::min));
+        let beside = self.beside.1 * beside.fold(0.0, f32::max);
+        self.moved.fill(0.0);
         let deepest = self.fronts.len() as f32;
-        let ascending = self.sweep.ascending();
         for (depth, front) in self.fronts.iter().enumerate() {
             let share = tolerance * (depth + 1) as f32 / deepest;
             let mut active = Vec::new();
             for &b in front {
-                let upstream = neighbours(layout, b, ascending, false).fold(0.0f32, |m, n| m.max(self.bricks[n].error));
+                let read = || self.upstream[b as usize].iter().map(|&n| n as usize);
+                let upstream = read().fold(0.0f32, |m, n| m.max(self.bricks[n].error));
+                let arriving = read().fold(0.0f32, |m, n| m.max(self.moved[n]));
                 let brick = &mut self.bricks[b as usize];
-                brick.depth += change[b as usize][axis] * per_change;
-                brick.inflow += std::mem::take(&mut brick.arriving);
+                // `change` is per layer; a path crosses each in at most a step.
+                let across = self.steps[b as usize].into_iter().zip(change[b as usize]);
+                brick.depth += across.map(|(step, c)| if step > 0.0 { step * c } else { 0.0 }).sum::<f32>();
+                if self.beside.0.contains(&b) {
+                    brick.depth += beside;
+                }
+                brick.inflow += arriving;
                 if brick.depth == 0.0 && brick.inflow == 0.0 {
                     brick.error = upstream;
                     continue;
@@ -124,13 +235,11 @@ impl Direct {
             if active.is_empty() {
                 continue;
             }
-            let changes = device.sweep(&self.sweep, layout, sigma, &mut self.rho, &[&active])?;
+            let changes = self.rays.sweep(device, layout, sigma, &mut self.rho, &[&active])?;
             report.bricks_active += active.len() as u64;
             for (&b, change) in active.iter().zip(changes) {
                 report.voxels += layout.region(b as usize).len() as u64;
-                for n in neighbours(layout, b, ascending, true) {
-                    self.bricks[n].arriving = self.bricks[n].arriving.max(change);
-                }
+                self.moved[b as usize] = change;
             }
         }
         self.solved = true;
@@ -138,9 +247,14 @@ impl Direct {
         Ok(report)
     }
 
-    /// True when the kept solution is of this light: same direction, grid and foot.
-    pub fn fits(&self, grid: &Grid, direction: Vec3, cubic: bool) -> bool {
-        self.sweep == Sweep::new(grid, direction, cubic)
+    /// The rays that the kept solution is of.
+    pub fn rays(&self) -> &Rays {
+        &self.rays
+    }
+
+    /// True when there is a kept solution.
+    pub fn is_solved(&self) -> bool {
+        self.solved
     }
 
     /// Forgets the kept solution: the next solve is cold.
@@ -149,19 +263,21 @@ impl Direct {
     }
 }
 
-/// The up to seven neighbours of brick `b` towards (`downstream`) or against the light.
-fn neighbours(layout: &BrickLayout, b: u32, ascending: [bool; 3], downstream: bool) -> impl Iterator<Item = usize> {
-    let (layout, counts, coords) = (*layout, layout.counts(), layout.coords(b as usize));
-    (1..8).filter_map(move |mask: usize| {
-        let mut c = coords;
-        for a in 0..3 {
-            if mask >> a & 1 == 1 {
-                c[a] = if ascending[a] == downstream { c[a] + 1 } else { c[a].checked_sub(1)? };
-                if c[a] >= counts[a] {
-                    return None;
+/// The up to seven neighbours of brick `b` against the light.
+fn upstream(layout: &BrickLayout, b: usize, ascending: [bool; 3]) -> Vec<u32> {
+    let (counts, coords) = (layout.counts(), layout.coords(b));
+    (1..8usize)
+        .filter_map(|mask| {
+            let mut c = coords;
+            for a in 0..3 {
+                if mask >> a & 1 == 1 {
+                    c[a] = if ascending[a] { c[a].checked_sub(1)? } else { c[a] + 1 };
+                    if c[a] >= counts[a] {
+                        return None;
+                    }
                 }
             }
-        }
-        Some(layout.number(c))
-    })
+            Some(layout.number(c) as u32)
+        })
+        .collect()
 }

@@ -15,7 +15,7 @@ pub mod ordinates;
 mod paper;
 mod physical;
 
-pub use direct::{Direct, DirectReport};
+pub use direct::{Direct, DirectReport, Rays};
 use paper::Paper;
 use physical::Physical;
 
@@ -108,7 +108,7 @@ impl LightSolver {
     /// The fluence of the latest solve on the light grid, `light.resolution`.
     pub fn illuminated(&self, device: &dyn Device, volume: &LightVolume) -> Result<IlluminatedVolume> {
         match &self.0 {
-            Solver::Physical(solver) => solver.illuminated(device, &volume.lights, &volume.physical),
+            Solver::Physical(solver) => solver.illuminated(device, &volume.physical),
             Solver::Paper(solver) => solver.illuminated(device, &volume.paper),
         }
     }
@@ -117,7 +117,7 @@ impl LightSolver {
 impl LightVolume {
     /// The light as the ray caster takes it.
     pub fn terms(&self) -> Vec<Term<'_>> {
-        let mut terms = self.physical.terms(&self.lights);
+        let mut terms = self.physical.terms();
         terms.extend(self.paper.terms());
         terms
     }

@@ -28,7 +28,7 @@
 
 use glam::Vec3;
 
-use crate::device::{Buffer, Device, Ordinate, Term, Weight};
+use crate::device::{Buffer, Device, Ordinate, Term, Travel, Weight};
 use crate::error::Result;
 use crate::grid::Grid;
 
@@ -39,7 +39,7 @@ mod quadrature;
 
 use anderson::Anderson;
 use equation::{Equation, Residual, State, Work};
-pub use quadrature::ordinates;
+pub use quadrature::{cells, ordinates};
 
 /// What scattered light is solved for. All volumes are on the grid of [`Scattered`].
 pub struct ScatterProblem<'a> {
@@ -49,10 +49,12 @@ pub struct ScatterProblem<'a> {
     pub scattering: &'a [Buffer],
     /// Emission per world length and channel; empty when nothing glows.
     pub emission: &'a [Buffer],
-    /// Transmittance of each distant light through σ*, its irradiance and direction of travel.
-    pub first: &'a [(&'a Buffer, [f32; 3], Vec3)],
-    /// Radiance of a uniform environment.
-    pub environment: [f32; 3],
+    /// Direct light of each source through σ*, a factor on it per colour channel, and the way it travels.
+    pub first: &'a [(&'a Buffer, [f32; 3], Travel)],
+    /// Radiance of the environment along each ordinate of the set; empty where there is none.
+    pub environment: &'a [[f32; 3]],
+    /// Factor on extinction and scattering per colour channel.
+    pub chromatic: [f32; 3],
     /// Henyey–Greenstein g.
     pub anisotropy: f32,
     /// Ordinates: 8, 32 or 128.
@@ -194,7 +196,8 @@ impl Scattered {
                 report.voxel_updates += 2 * self.grid.len() as u64;
                 continue;
             }
-            let set = ordinates(problem.directions, problem.environment[channel])?;
+            let mut set = ordinates(problem.directions, 0.0)?;
+            set.iter_mut().zip(problem.environment).for_each(|(o, radiance)| o.inflow = radiance[channel]);
             let done = self.solve_channel(device, problem, channel, &set)?;
             report.iterations = report.iterations.max(done.iterations);
             report.certified_error = report.certified_error.max(done.certified_error);
@@ -217,13 +220,15 @@ impl Scattered {
         let linear = 3.0 * g / (1.0 + g);
         let Scattered { grid, channels, optics, work, states: [x, value, other], anderson, ones, .. } = self;
         let Channel { solution, before, known, majorant, won } = &mut channels[channel];
-        let first: Vec<_> = problem.first.iter().map(|(t, e, u)| (*t, e[channel], *u)).collect();
+        // A colour channel with extinction of its own has sweeps of its own.
+        let first: Vec<_> = problem.first.iter().map(|(t, e, u)| (*t, e[channel], *u)).filter(|f| f.1 != 0.0).collect();
         let emission = problem.emission.get(channel);
         optics.prepare(
             device,
             grid,
             problem.sigma,
             (&problem.scattering[channel], 1.0 - g * g),
+            problem.chromatic[channel],
             emission,
             &mut x.phi,
         )?;
@@ -256,7 +261,7 @@ impl Scattered {
                 }
             };
             let vacuum: Vec<_> = set.iter().map(|o| Ordinate { inflow: 0.0, ..*o }).collect();
-            let unit = [(&*ones, 1.0, Vec3::ZERO)];
+            let unit = [(&*ones, 1.0, Travel::Along(Vec3::ZERO))];
             let bound = Equation { ordinates: &vacuum, emission: None, first: &unit, ..equation };
             let kept = match majorant {
                 Some(kept) => kept,
@@ -370,11 +375,17 @@ impl Optics {
         grid: &Grid,
         sigma: &Buffer,
         (scattering, scale): (&Buffer, f32),
+        chromatic: f32,
         emission: Option<&Buffer>,
         scratch: &mut Buffer,
     ) -> Result<()> {
-        device.extend(grid.size, sigma, sigma, &mut self.sigma)?;
-        device.combine(&[(scattering, scale)], scratch)?;
+        if chromatic == 1.0 {
+            device.extend(grid.size, sigma, sigma, &mut self.sigma)?;
+        } else {
+            device.combine(&[(sigma, chromatic)], scratch)?;
+            device.extend(grid.size, sigma, scratch, &mut self.sigma)?;
+        }
+        device.combine(&[(scattering, scale * chromatic)], scratch)?;
         device.extend(grid.size, sigma, scratch, &mut self.scattering)?;
         match emission {
             Some(emission) => device.extend(grid.size, sigma, emission, &mut self.emission),
@@ -388,13 +399,14 @@ fn multiple(device: &dyn Device, problem: &ScatterProblem, channel: usize) -> Re
     for like in 0..channel {
         let pairs = || {
             let lights = problem.first.iter().map(|(_, e, _)| (e[like], e[channel]));
-            lights.chain([(problem.environment[like], problem.environment[channel])])
+            lights.chain(problem.environment.iter().map(|e| (e[like], e[channel])))
         };
         let Some((from, to)) = pairs().max_by(|a, b| a.0.total_cmp(&b.0)).filter(|p| p.0 > 0.0) else { continue };
         let ratio = to / from;
         let proportional = pairs().all(|(a, b)| (b - ratio * a).abs() <= 1e-6 * ratio * from);
         let glows = !problem.emission.is_empty();
-        if !proportional || (glows && ratio != 1.0) {
+        let dims_alike = problem.chromatic[like] == problem.chromatic[channel];
+        if !proportional || !dims_alike || (glows && ratio != 1.0) {
             continue;
         }
         let same = |of: &[Buffer]| Ok::<_, crate::Error>(device.distance(&of[like], &of[channel])? == 0.0);

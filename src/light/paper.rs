@@ -22,7 +22,7 @@ use crate::device::convection::{Convection, Layers, Opacity, Rays, Spread, Start
 use crate::device::{Buffer, Device, Optic, Term, Weight};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
-use crate::lights::Light;
+use crate::lights::{Cell, Light};
 use crate::medium::Medium;
 use crate::scene::{ConvectionMethod, DiffusionMethod, Falloff, OpacityScale, Scene, SolverKeys};
 
@@ -152,7 +152,7 @@ impl Paper {
             Light::Cone { position, direction, angle, edge, radius, intensity } => {
                 (position, intensity, radius, Some((direction, angle, edge)))
             }
-            Light::Environment { .. } => return None,
+            Light::Environment { .. } | Light::Image { .. } => return None,
         };
         let physical = self.keys.falloff == Falloff::Physical;
         let (lo, hi) = grid.bounds();
@@ -392,6 +392,10 @@ impl Unknowns {
 fn environment(lights: &[Light]) -> [f32; 3] {
     lights.iter().fold([0.0; 3], |sum, l| match l {
         Light::Environment { radiance } => std::array::from_fn(|c| sum[c] + 4.0 * std::f32::consts::PI * radiance[c]),
+        Light::Image { image, factor } => {
+            let mean = image.mean(&Cell { z: [-1.0, 1.0], azimuth: [0.0, std::f64::consts::TAU] });
+            std::array::from_fn(|c| sum[c] + 4.0 * std::f32::consts::PI * factor[c] * mean[c])
+        }
         _ => sum,
     })
 }

@@ -1,19 +1,22 @@
 //! The physical model: direct light by short characteristics, multiple scattering by first-collision-source ordinates.
 
-use super::direct::Direct;
-use super::ordinates::{ScatterProblem, Scattered};
+use std::f64::consts::PI;
+
+use super::direct::{Direct, Rays};
+use super::ordinates::{ScatterProblem, Scattered, cells};
 use super::{IlluminatedVolume, SolveReport};
-use crate::device::{Buffer, Device, Optic, Term, Weight};
+use crate::device::{Buffer, Cone, Device, Lamp, Optic, Term, Travel, Weight};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
-use crate::lights::Light;
+use crate::lights::{Cell, Light};
 use crate::medium::Medium;
 use crate::scene::{Interpolation, Scene, SolverKeys};
 
 /// What survives a step.
 #[derive(Default)]
 pub(super) struct Unknowns {
-    direct: Vec<Direct>,
+    /// A sweep for each source, and the source.
+    direct: Vec<(Source, Direct)>,
     scattered: Option<Scattered>,
     grid: Option<Grid>,
     anisotropy: f32,
@@ -33,6 +36,65 @@ const MANY: f64 = 0.6;
 /// Steps that are swept whole, without looking for change, after one in which many bricks were.
 const UNLOOKED: u32 = 3;
 
+/// What one sweep is for: a light, in the colour channels that dim alike.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Source {
+    rays: Rays,
+    travel: Travel,
+    /// What its transmittance is to be multiplied with, where it is in one place.
+    lamp: Option<Lamp>,
+    /// Irradiance, or radiant intensity of a lamp, per channel.
+    strength: [f32; 3],
+}
+
+impl Source {
+    /// The sources that `lights` ask for on `grid`: for each light one, or one for each factor on extinction.
+    fn all(grid: &Grid, lights: &[Light], cubic: bool, chromatic: [f32; 3]) -> Vec<Self> {
+        let mut factors: Vec<f32> = chromatic.to_vec();
+        factors.sort_by(|a, b| b.total_cmp(a));
+        factors.dedup();
+        let of = |light, factor| {
+            let source = Source::new(grid, light, cubic, factor)?;
+            let strength = std::array::from_fn(|c| if chromatic[c] == factor { source.strength[c] } else { 0.0 });
+            Some(Source { strength, ..source })
+        };
+        lights.iter().flat_map(|light| factors.iter().filter_map(move |&factor| of(light, factor))).collect()
+    }
+
+    /// The sweep for a light, if it takes one.
+    fn new(grid: &Grid, light: &Light, cubic: bool, factor: f32) -> Option<Self> {
+        let lamp = |position, radius, cone, strength| Source {
+            rays: Rays::radial(grid, position, factor),
+            travel: Travel::From(position),
+            lamp: Some(Lamp { position, radius, cone }),
+            strength,
+        };
+        match *light {
+            Light::Distant { direction, irradiance } => Some(Source {
+                rays: Rays::parallel(grid, direction, cubic, factor),
+                travel: Travel::Along(direction),
+                lamp: None,
+                strength: irradiance,
+            }),
+            Light::Point { position, radius, intensity } => Some(lamp(position, radius, None, intensity)),
+            Light::Cone { position, direction, angle, edge, radius, intensity } => {
+                let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos() };
+                Some(lamp(position, radius, Some(cone), intensity))
+            }
+            Light::Environment { .. } | Light::Image { .. } => None,
+        }
+    }
+
+    fn weight(&self, g: f32) -> Weight {
+        let Source { strength, .. } = *self;
+        match (self.travel, self.lamp) {
+            (_, Some(lamp)) => Weight::Lamp { lamp, intensity: strength, g },
+            (Travel::Along(direction), None) => Weight::Phase { direction, irradiance: strength, g },
+            (Travel::From(_), None) => unreachable!("light from one place falls off"),
+        }
+    }
+}
+
 /// Extinction now and before, and scratch.
 pub(super) struct Physical {
     keys: SolverKeys,
@@ -45,6 +107,8 @@ pub(super) struct Physical {
     /// Steps still to come that are swept whole.
     unlooked: u32,
     optics: Option<Optics>,
+    /// Irradiance of a lamp on the grid of direct light.
+    lit: Option<Buffer>,
 }
 
 /// Optics and first-collision light on the grid of scattered light.
@@ -68,6 +132,7 @@ impl Physical {
             solved: false,
             unlooked: 0,
             optics: None,
+            lit: None,
             keys,
             grid,
             coarse,
@@ -101,8 +166,9 @@ impl Physical {
         volume.grid = Some(self.grid);
         volume.anisotropy = self.anisotropy;
         report.warm = warm;
-        self.direct(device, lights, change.as_deref(), volume, &mut report)?;
-        if look && report.bricks_active as f64 > MANY * report.bricks_total as f64 {
+        let chromatic = medium.table.chromatic;
+        let swept = self.direct(device, (lights, chromatic), change.as_deref(), volume, &mut report)?;
+        if look && swept > MANY {
             self.unlooked = UNLOOKED;
         }
         let still = change.is_some_and(|c| c.iter().all(|c| *c == [0.0; 3])) && volume.lights == lights;
@@ -133,42 +199,68 @@ impl Physical {
         medium.still(device)
     }
 
-    /// Direct light of every distant light.
+    /// Direct light of every source. A light that was there before keeps its sweep, wherever it stands in the list and
+    /// whatever its strength. Returns the share of the bricks of such lights that was swept.
     fn direct(
         &mut self,
         device: &dyn Device,
-        lights: &[Light],
+        (lights, chromatic): (&[Light], [f32; 3]),
         change: Option<&[[f32; 3]]>,
         volume: &mut Unknowns,
         report: &mut SolveReport,
-    ) -> Result<()> {
+    ) -> Result<f64> {
         let cubic = self.keys.interpolation == Interpolation::Cubic;
         // An error of direct light comes back from scattering up to 1/(1 − ω) times, and a sweep costs less than one ordinate's:
         // where light scatters on, only what is the same to the bit is left alone.
         let tolerance = if self.keys.scattering { 0.0 } else { self.keys.tolerance };
-        let distant: Vec<_> = distant(lights).collect();
-        let total: f32 = distant.iter().map(|(_, e)| brightest(*e)).sum();
-        volume.direct.truncate(distant.len());
-        for (n, (direction, irradiance)) in distant.into_iter().enumerate() {
-            if volume.direct.get(n).is_none_or(|d| !d.fits(&self.grid, direction, cubic)) {
-                let fresh = Direct::new(device, &self.grid, &self.layout, direction, cubic)?;
-                if n < volume.direct.len() {
-                    volume.direct[n] = fresh;
-                } else {
-                    volume.direct.push(fresh);
+        let sources = Source::all(&self.grid, lights, cubic, chromatic);
+        let mut kept = std::mem::take(&mut volume.direct);
+        let mut found: Vec<Option<Direct>> = sources
+            .iter()
+            .map(|source| {
+                let at = kept.iter().position(|(_, direct)| *direct.rays() == source.rays)?;
+                Some(kept.swap_remove(at).1)
+            })
+            .collect();
+        for (source, found) in sources.iter().zip(&mut found) {
+            let direct = match found.take() {
+                Some(direct) => direct,
+                None => {
+                    let rho = match kept.pop() {
+                        Some((_, other)) => other.rho,
+                        None => device.alloc(self.grid.len())?,
+                    };
+                    Direct::of(rho, &self.layout, source.rays)
                 }
-            }
-            let kept = &mut volume.direct[n];
-            let done = kept.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
+            };
+            volume.direct.push((*source, direct));
+        }
+        if sources.iter().any(|s| s.lamp.is_some()) && self.lit.is_none() {
+            self.lit = Some(device.alloc(self.grid.len())?);
+        }
+        let total: f32 = sources.iter().map(|s| brightest(s.strength)).sum();
+        let mut worst = 0.0f64;
+        let mut known = [0; 2];
+        for (source, direct) in &mut volume.direct {
+            let before = direct.is_solved();
+            let done = direct.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
             report.bricks_active += done.bricks_active;
             report.bricks_total += done.bricks_total;
+            if before {
+                known = [known[0] + done.bricks_active, known[1] + done.bricks_total];
+            }
             report.voxel_updates += done.voxels;
             report.sweeps += done.voxels as f64 / self.grid.len() as f64;
+            worst = worst.max(done.certified_error.into());
             if total > 0.0 {
-                report.certified_error += f64::from(done.certified_error * brightest(irradiance) / total);
+                report.certified_error += f64::from(done.certified_error * brightest(source.strength) / total);
             }
         }
-        Ok(())
+        // What lamps of different places add up to differs from voxel to voxel: the worst of them bounds it everywhere.
+        if sources.iter().any(|s| s.lamp.is_some()) {
+            report.certified_error = worst;
+        }
+        Ok(known[0] as f64 / known[1].max(1) as f64)
     }
 
     /// Scattered light, and the uncollided light of the environment.
@@ -181,12 +273,13 @@ impl Physical {
         volume: &mut Unknowns,
         report: &mut SolveReport,
     ) -> Result<()> {
-        let environment = environment(lights);
-        if !self.keys.scattering && environment == [0.0; 3] {
+        let environment = environment(lights, self.keys.directions)?;
+        if !self.keys.scattering && environment.iter().flatten().all(|l| *l == 0.0) {
             volume.scattered = None;
             return Ok(());
         }
-        let channels = if gray(medium, lights) { 1 } else { 3 };
+        let strengths = volume.direct.iter().map(|(source, _)| source.strength);
+        let channels = if gray(medium, strengths.chain(environment.iter().copied())) { 1 } else { 3 };
         let glows = !medium.table.emission.is_empty();
         let f = self.anisotropy * self.anisotropy;
         let fits = |o: &Optics| {
@@ -213,17 +306,25 @@ impl Physical {
         for (channel, out) in optics.emission.iter_mut().enumerate() {
             classify(Optic::Emission { channel }, out)?;
         }
-        for (direct, out) in volume.direct.iter().zip(&mut optics.first) {
-            device.restrict(self.grid.size, &direct.rho, self.coarse.size, out)?;
+        for ((source, direct), out) in volume.direct.iter().zip(&mut optics.first) {
+            let fine = match (&source.lamp, &mut self.lit) {
+                (Some(lamp), Some(lit)) => {
+                    device.irradiate(lamp, &self.grid, &direct.rho, lit)?;
+                    lit
+                }
+                _ => &direct.rho,
+            };
+            device.restrict(self.grid.size, fine, self.coarse.size, out)?;
         }
-        let first: Vec<_> =
-            optics.first.iter().zip(distant(lights)).map(|(rho, (direction, e))| (rho, e, direction)).collect();
+        let sources = volume.direct.iter().map(|(source, _)| source);
+        let first: Vec<_> = optics.first.iter().zip(sources).map(|(e, s)| (e, s.strength, s.travel)).collect();
         let problem = ScatterProblem {
             sigma: &optics.sigma,
             scattering: &optics.scattering,
             emission: &optics.emission,
             first: &first,
-            environment,
+            environment: &environment,
+            chromatic: medium.table.chromatic,
             anisotropy: self.anisotropy,
             directions: self.keys.directions,
             tolerance: self.keys.tolerance,
@@ -243,20 +344,19 @@ impl Physical {
     }
 
     /// The fluence of the latest solve on the grid of scattered light (light grid, `light.resolution`).
-    pub(super) fn illuminated(
-        &self,
-        device: &dyn Device,
-        lights: &[Light],
-        volume: &Unknowns,
-    ) -> Result<IlluminatedVolume> {
+    pub(super) fn illuminated(&self, device: &dyn Device, volume: &Unknowns) -> Result<IlluminatedVolume> {
         let mut first = Vec::new();
-        for direct in &volume.direct {
+        for (source, direct) in &volume.direct {
             let mut out = device.alloc(self.coarse.len())?;
-            device.restrict(self.grid.size, &direct.rho, self.coarse.size, &mut out)?;
-            first.push(out);
+            let mut lit = None;
+            if let Some(lamp) = &source.lamp {
+                let lit = lit.insert(device.alloc(self.grid.len())?);
+                device.irradiate(lamp, &self.grid, &direct.rho, lit)?;
+            }
+            device.restrict(self.grid.size, lit.as_ref().unwrap_or(&direct.rho), self.coarse.size, &mut out)?;
+            first.push((out, source.strength));
         }
-        let mut terms: Vec<(&Buffer, [f32; 3])> =
-            first.iter().zip(distant(lights)).map(|(rho, (_, e))| (rho, e)).collect();
+        let mut terms: Vec<(&Buffer, [f32; 3])> = first.iter().map(|(e, strength)| (e, *strength)).collect();
         if let Some(scattered) = &volume.scattered {
             terms.extend(scattered.fluence());
         }
@@ -268,43 +368,46 @@ impl Physical {
 
 impl Unknowns {
     /// The light as the ray caster takes it: one term for each light, and those of scattered light.
-    pub(super) fn terms(&self, lights: &[Light]) -> Vec<Term<'_>> {
+    pub(super) fn terms(&self) -> Vec<Term<'_>> {
         let Some(grid) = &self.grid else { return vec![] };
-        let g = self.anisotropy;
-        let direct = self.direct.iter().zip(distant(lights)).map(|(d, (direction, irradiance))| Term {
-            values: &d.rho,
+        let direct = self.direct.iter().map(|(source, direct)| Term {
+            values: &direct.rho,
             grid,
-            weight: Weight::Phase { direction, irradiance, g },
+            weight: source.weight(self.anisotropy),
         });
         let scattered = self.scattered.iter().flat_map(|s| s.terms());
         direct.chain(scattered).collect()
     }
 }
 
-fn distant(lights: &[Light]) -> impl Iterator<Item = (glam::Vec3, [f32; 3])> {
-    lights.iter().filter_map(|l| match *l {
-        Light::Distant { direction, irradiance } => Some((direction, irradiance)),
-        Light::Point { .. } | Light::Cone { .. } | Light::Environment { .. } => None,
-    })
-}
-
-/// Radiance of all environment lights together.
-fn environment(lights: &[Light]) -> [f32; 3] {
-    lights.iter().fold([0.0; 3], |sum, l| match l {
-        Light::Environment { radiance } => std::array::from_fn(|c| sum[c] + radiance[c]),
-        Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } => sum,
-    })
+/// Radiance of all environment lights together, along each ordinate.
+fn environment(lights: &[Light], directions: usize) -> Result<Vec<[f32; 3]>> {
+    let mut radiance = vec![[0.0; 3]; directions];
+    for light in lights {
+        match light {
+            Light::Environment { radiance: even } => {
+                radiance.iter_mut().for_each(|r| *r = std::array::from_fn(|c| r[c] + even[c]));
+            }
+            Light::Image { image, factor } => {
+                for (r, cell) in radiance.iter_mut().zip(cells(directions)?) {
+                    // Light that travels along Ω comes from −Ω.
+                    let from = Cell { z: cell.z.map(|z| -z), azimuth: cell.azimuth.map(|a| a + PI) };
+                    let mean = image.mean(&Cell { z: [from.z[1], from.z[0]], ..from });
+                    *r = std::array::from_fn(|c| r[c] + factor[c] * mean[c]);
+                }
+            }
+            Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } => {}
+        }
+    }
+    Ok(radiance)
 }
 
 fn brightest(rgb: [f32; 3]) -> f32 {
     rgb.into_iter().fold(0.0, f32::max)
 }
 
-/// True when one channel stands for all three: medium and lights are gray.
-fn gray(medium: &Medium, lights: &[Light]) -> bool {
+/// True when one channel stands for all three: the medium is gray, and so are these colours of light.
+fn gray(medium: &Medium, mut light: impl Iterator<Item = [f32; 3]>) -> bool {
     let even = |c: [f32; 3]| c[0] == c[1] && c[1] == c[2];
-    medium.table.gray()
-        && medium.table.emission.iter().all(|e| even(*e))
-        && distant(lights).all(|(_, e)| even(e))
-        && even(environment(lights))
+    medium.table.gray() && medium.table.emission.iter().all(|e| even(*e)) && light.all(even)
 }

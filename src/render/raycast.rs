@@ -4,6 +4,7 @@ use crate::camera::Camera;
 use crate::device::{Device, March, Phong};
 use crate::error::Result;
 use crate::frame::Frame;
+use crate::grid::Grid;
 use crate::light::LightVolume;
 use crate::lights::Light;
 use crate::medium::Medium;
@@ -21,10 +22,15 @@ impl Raycast {
         Raycast { keys: scene.render.clone() }
     }
 
-    /// Phong shading for the first distant light.
-    fn phong(&self, light: &LightVolume) -> Option<Phong> {
-        let direction = light.lights().iter().find_map(|l| match l {
-            Light::Distant { direction, .. } => Some(*direction),
+    /// Phong shading for the first distant, point or cone light; one in a place counts as distant, as the middle of the volume
+    /// sees it.
+    fn phong(&self, light: &LightVolume, grid: &Grid) -> Option<Phong> {
+        let (lo, hi) = grid.bounds();
+        let direction = light.lights().iter().find_map(|l| match *l {
+            Light::Distant { direction, .. } => Some(direction),
+            Light::Point { position, .. } | Light::Cone { position, .. } => {
+                (0.5 * (lo + hi) - position).as_vec3().try_normalize()
+            }
             _ => None,
         })?;
         let RenderKeys { ambient, diffuse, specular, shininess, .. } = self.keys;
@@ -56,7 +62,7 @@ impl Renderer for Raycast {
             bricks: medium.bricks,
             majorant: &medium.majorant,
             terms: &terms,
-            phong: self.phong(light),
+            phong: self.phong(light, &medium.grid),
             camera,
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };

@@ -26,7 +26,16 @@ impl Scene {
             None => Scene::parse("", "scene", sets),
             Some(path) => {
                 let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
-                Scene::parse(&text, &path.display().to_string(), sets)
+                let mut scene = Scene::parse(&text, &path.display().to_string(), sets)?;
+                // Paths in a file start at its folder, those of overrides where the user stands.
+                for (i, light) in scene.lights.iter_mut().enumerate() {
+                    let key = format!("lights.{i}.image");
+                    let overridden = sets.iter().any(|s| s.split('=').next().is_some_and(|k| k.trim() == key));
+                    if let (Some(image), Some(folder), false) = (&mut light.image, path.parent(), overridden) {
+                        *image = folder.join(&*image);
+                    }
+                }
+                Ok(scene)
             }
         }
     }

@@ -105,6 +105,9 @@ pub struct TransferKeys {
     pub reference: f64,
     /// Extinction per world length at value 1, linear in the value, instead of `opacity`.
     pub extinction: Option<f64>,
+    /// Factor on extinction per colour channel, each 0 or more and not all 0: what shadows and what lies behind the medium
+    /// are tinted by.
+    pub chromatic: [f32; 3],
     /// Scattered fraction of the extinction, multiplied by the map's colour.
     pub albedo: NumberOrRgb,
     /// Henyey–Greenstein g, −1 < g < 1.
@@ -121,6 +124,7 @@ impl Default for TransferKeys {
             opacity: None,
             reference: 1.0,
             extinction: None,
+            chromatic: [1.0; 3],
             albedo: NumberOrRgb::Number(0.8),
             anisotropy: 0.0,
             emission: vec![],
@@ -158,9 +162,9 @@ pub struct LightKeys {
     pub direction: [f64; 3],
     /// Where a point or cone light is.
     pub position: [f64; 3],
-    /// Radius of a point or cone light, world length.
+    /// Radius of the ball that a point or cone light is, world length; 0 has sharp shadows.
     pub radius: f64,
-    /// Half angle of a cone light in degrees.
+    /// Half angle of a cone light in degrees, above 0, at most 90.
     pub angle: f64,
     /// Degrees inside the half angle over which a cone light fades.
     pub edge: f64,
@@ -168,9 +172,12 @@ pub struct LightKeys {
     pub color: [f32; 3],
     /// Distant: irradiance on a facing plane; point, cone: power/4π; environment: radiance.
     pub intensity: f32,
-    /// Angular radius in degrees.
+    /// Angular radius of a distant light in degrees; 0 has sharp shadows.
     pub softness: f64,
-    /// Equirectangular image of an environment light.
+    /// Points that stand for a light with softness or radius: 1, 7 or 19. Each takes a sweep.
+    pub samples: usize,
+    /// Equirectangular image of an environment light (OpenEXR, Radiance HDR, PNG), times colour and intensity; see
+    /// [`Panorama`](crate::lights::Panorama). A relative path in a scene file starts at the file's folder.
     pub image: Option<std::path::PathBuf>,
 }
 
@@ -186,6 +193,7 @@ impl Default for LightKeys {
             color: [1.0; 3],
             intensity: 3.0,
             softness: 0.0,
+            samples: 7,
             image: None,
         }
     }

@@ -19,7 +19,14 @@ impl Scene {
     pub fn validate(&self) -> Result<()> {
         field(&self.field)?;
         transfer(&self.transfer)?;
-        self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys, self.light.model))?;
+        self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys))?;
+        if self.light.model == Model::Paper && self.transfer.chromatic.iter().any(|k| *k != self.transfer.chromatic[0])
+        {
+            return Err(Error::Unsupported(format!(
+                "transfer.chromatic = {:?} in the paper's model, which has one extinction for all colours\n  try: light.model = \"physical\"",
+                self.transfer.chromatic
+            )));
+        }
         solver(&self.light)?;
         self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys))?;
         for (i, keys) in self.cameras.iter().enumerate() {
@@ -80,6 +87,8 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
             return Err(Error::scene("transfer.extinction", "it replaces transfer.opacity: give only one of the two"));
         }
     }
+    let dims = keys.chromatic.into_iter().all(nonnegative) && keys.chromatic.into_iter().any(|k| k > 0.0);
+    require(dims, "transfer.chromatic", keys.chromatic)?;
     require(keys.albedo.rgb().into_iter().all(unit), "transfer.albedo", keys.albedo.rgb())?;
     require(keys.anisotropy.abs() < 1.0, "transfer.anisotropy", keys.anisotropy)?;
     if !keys.emission.is_empty() {
@@ -89,21 +98,9 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
     TransferFunction::new(keys).map(drop)
 }
 
-fn light(i: usize, keys: &LightKeys, model: Model) -> Result<()> {
+fn light(i: usize, keys: &LightKeys) -> Result<()> {
     let key = |name: &str| format!("lights.{i}.{name}");
-    if model == Model::Physical && matches!(keys.kind, LightKind::Point | LightKind::Cone) {
-        let kind = if keys.kind == LightKind::Point { "point" } else { "cone" };
-        return Err(Error::Unsupported(format!(
-            "{} = \"{kind}\": this version has \"distant\" and \"environment\" lights",
-            key("kind")
-        )));
-    }
-    if let Some(image) = &keys.image {
-        return Err(Error::Unsupported(format!(
-            "{} = {image:?}: environments of this version have one colour; give `color` and `intensity` instead",
-            key("image")
-        )));
-    }
+    require(keys.image.is_none() || keys.kind == LightKind::Environment, &key("image"), &keys.image)?;
     require(direction(keys.direction), &key("direction"), keys.direction)?;
     require(finite3(keys.position), &key("position"), keys.position)?;
     require(keys.radius >= 0.0 && keys.radius.is_finite(), &key("radius"), keys.radius)?;
@@ -111,7 +108,8 @@ fn light(i: usize, keys: &LightKeys, model: Model) -> Result<()> {
     require((0.0..=keys.angle).contains(&keys.edge), &key("edge"), keys.edge)?;
     require(keys.color.into_iter().all(nonnegative), &key("color"), keys.color)?;
     require(nonnegative(keys.intensity), &key("intensity"), keys.intensity)?;
-    require((0.0..=90.0).contains(&keys.softness), &key("softness"), keys.softness)
+    require((0.0..=90.0).contains(&keys.softness), &key("softness"), keys.softness)?;
+    require(matches!(keys.samples, 1 | 7 | 19), &key("samples"), keys.samples)
 }
 
 fn solver(keys: &SolverKeys) -> Result<()> {

@@ -3,7 +3,7 @@
 //! A value is normalised to 0..1 over the field's range. Opacity α per reference length Δ (in voxels of the data grid, times
 //! their mean spacing) becomes extinction by inverting Beer–Lambert's law, `σ_t = −ln(1 − α)/Δ`, so that the same medium
 //! comes out whatever the sampling distance. The single-scattering albedo is `ω = albedo · c`, c the colour of the map in
-//! scene-linear light, and emission is a curve of radiance per reference length times c.
+//! scene-linear light, extinction of a colour channel is `σ_t` times its factor in `chromatic`, and emission is a curve of radiance per reference length times c.
 
 mod colormap;
 mod table;
@@ -26,6 +26,9 @@ pub struct TransferFunction {
     colors: Colormap,
     albedo: [f32; 3],
     density: Density,
+    /// Factor on extinction of the channel that dims most, and of each channel against it.
+    strongest: f64,
+    chromatic: [f32; 3],
     /// `[value, radiance per reference length]`; empty when nothing glows.
     emission: Vec<[f32; 2]>,
     /// Reference length in mean spacings.
@@ -58,11 +61,14 @@ impl TransferFunction {
             Some(extinction) => Density::Extinction(extinction),
             None => Density::Opacity(keys.opacity.clone().unwrap_or(DEFAULT_OPACITY.to_vec())),
         };
+        let strongest = keys.chromatic.into_iter().fold(0.0, f32::max);
         let glows = keys.emission.iter().any(|p| p[1] > 0.0);
         Ok(TransferFunction {
             colors,
             albedo: keys.albedo.rgb(),
             density,
+            strongest: strongest.into(),
+            chromatic: keys.chromatic.map(|k| k / strongest),
             emission: if glows { keys.emission.clone() } else { vec![] },
             reference: keys.reference,
         })
@@ -75,9 +81,10 @@ impl TransferFunction {
     pub fn table(&self, range: [f64; 2], mean_spacing: f64) -> Table {
         let length = self.reference * mean_spacing;
         let extinction = match &self.density {
-            Density::Extinction(largest) => normalised().map(|v| (v * largest) as f32).collect(),
+            Density::Extinction(largest) => normalised().map(|v| (v * largest * self.strongest) as f32).collect(),
             Density::Opacity(points) => {
-                tabulate(points).into_iter().map(|alpha| (extinction(alpha) / length) as f32).collect()
+                let sigma = |alpha| (self.strongest * extinction(alpha) / length) as f32;
+                tabulate(points).into_iter().map(sigma).collect()
             }
         };
         let colors: Vec<[f32; 3]> = normalised().map(|v| self.colors.linear(v as f32)).collect();
@@ -88,7 +95,7 @@ impl TransferFunction {
                 .collect(),
         };
         let albedo = colors.iter().map(|c| std::array::from_fn(|i| self.albedo[i] * c[i])).collect();
-        Table { lo: range[0] as f32, hi: range[1] as f32, extinction, albedo, emission }
+        Table { lo: range[0] as f32, hi: range[1] as f32, extinction, chromatic: self.chromatic, albedo, emission }
     }
 
     /// The map's colours from value 0 to 1, sRGB in 0..1, as a colour bar shows them.

@@ -8,8 +8,10 @@ pub struct Table {
     pub lo: f32,
     /// Data value that maps to 1.
     pub hi: f32,
-    /// Extinction σ_t per world length.
+    /// Extinction σ_t per world length, of the colour channel that dims most.
     pub extinction: Vec<f32>,
+    /// Factor on it per channel, 0..1, the largest 1.
+    pub chromatic: [f32; 3],
     /// Single-scattering albedo ω per channel.
     pub albedo: Vec<[f32; 3]>,
     /// Emitted radiance per world length and channel; empty when nothing glows.
@@ -35,9 +37,9 @@ impl Table {
         self.albedo.iter().all(|a| *a == self.albedo[0]).then(|| self.albedo[0])
     }
 
-    /// True when the albedo is the same in all channels for every value.
+    /// True when extinction and albedo are the same in all channels for every value.
     pub fn gray(&self) -> bool {
-        self.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2])
+        self.chromatic == [1.0; 3] && self.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2])
     }
 
     /// For each range of data values `[lo, hi]`, the largest extinction or emission (per world length, any channel) of any
@@ -96,7 +98,7 @@ mod tests {
         let entry = |seed: &u8| if *seed < 128 { 0.0 } else { f32::from(*seed) - 127.0 };
         let extinction: Vec<f32> = seeds.iter().map(entry).collect();
         let emission = seeds.iter().rev().map(|s| [0.0, if *s > 250 { 300.0 } else { 0.0 }, 0.0]).collect();
-        Table { lo, hi, albedo: vec![[1.0; 3]; seeds.len()], extinction, emission }
+        Table { lo, hi, chromatic: [1.0; 3], albedo: vec![[1.0; 3]; seeds.len()], extinction, emission }
     }
 
     /// What a kernel reads at a data value.

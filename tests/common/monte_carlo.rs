@@ -18,9 +18,20 @@ pub struct Medium<'a> {
 
 /// What lights it.
 #[derive(Clone, Copy)]
+#[allow(dead_code, reason = "each test has lamps of its own")]
 pub enum Lamp {
-    Distant { direction: DVec3, irradiance: f64 },
-    Environment { radiance: f64 },
+    Distant {
+        direction: DVec3,
+        irradiance: f64,
+    },
+    Environment {
+        radiance: f64,
+    },
+    /// In the box; power/4π.
+    Point {
+        position: DVec3,
+        intensity: f64,
+    },
 }
 
 /// Mean fluence, direct light included, of the voxels of an n³ grid, x fastest, and its standard error.
@@ -96,6 +107,12 @@ fn emit(lamp: Lamp, rng: &mut XorShiftRng) -> (DVec3, DVec3, f64) {
             };
             position[axis] = if direction[axis] > 0.0 { 0.0 } else { 1.0 - 1e-12 };
             (position, direction, irradiance * facing.element_sum())
+        }
+        Lamp::Point { position, intensity } => {
+            let (cosine, angle) = (2.0 * rng.random::<f64>() - 1.0, rng.random::<f64>() * std::f64::consts::TAU);
+            let sine = (1.0 - cosine * cosine).sqrt();
+            let direction = DVec3::new(sine * angle.cos(), sine * angle.sin(), cosine);
+            (position, direction, 4.0 * std::f64::consts::PI * intensity)
         }
         Lamp::Environment { radiance } => {
             let (axis, side) = (rng.random_range(0..3), rng.random_range(0..2));

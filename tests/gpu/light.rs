@@ -1,7 +1,9 @@
 //! Kernels that move light: sweeps and transport.
 
 use gloaming::BrickLayout;
-use gloaming::device::{Ordinate, SourceTerm, Sweep, Transport};
+use gloaming::device::{Cone, Lamp, Ordinate, PointSweep, SourceTerm, Sweep, Transport, Travel};
+
+use glam::DVec3;
 
 use super::*;
 
@@ -96,23 +98,78 @@ fn cubic_sweeps_agree() {
     }
 }
 
+/// Index positions: between voxels, on one, on a corner of bricks, in the rim, outside.
+const LIGHTS: [[f64; 3]; 6] = [
+    [14.3, 30.6, 20.2],
+    [16.0, 31.0, 9.0],
+    [15.5, 30.5, 31.5],
+    [15.5, -0.2, 15.5],
+    [-7.4, 20.3, 60.7],
+    [17.2, -1.4, 8.0],
+];
+
+#[test]
+fn sweeps_from_a_point_agree() {
+    let grid = anisotropic();
+    let sigma: Vec<f32> = noise(14, grid.len()).iter().map(|v| 20.0 * v * v).collect();
+    let rho = noise(15, grid.len());
+    for (i, light) in LIGHTS.into_iter().enumerate() {
+        let at = DVec3::from(grid.origin) + DVec3::from(light) * DVec3::from(grid.spacing);
+        let sweep = PointSweep::new(&grid, at, 1.0);
+        let layout = BrickLayout::new(ODD, [16, 31, 8][i % 3]);
+        let fronts = sweep.fronts(&layout);
+        let last = fronts.len() - usize::from(i % 2 == 0);
+        let [want, got] = both(|d| {
+            let mut rho = upload(d, &rho);
+            let some: Vec<&[u32]> = fronts[..last].iter().map(|f| &f[..]).collect();
+            let changes = d.sweep_point(&sweep, &layout, &upload(d, &sigma), &mut rho, &some).unwrap();
+            [download(d, &rho), changes]
+        });
+        assert_close(&want[0], &got[0], 1e-5, &format!("light at {light:?}"));
+        if i % 2 == 0 {
+            assert_close(&want[1], &got[1], 1e-5, &format!("changes from {light:?}"));
+        }
+    }
+}
+
+#[test]
+fn lamps_agree() {
+    let grid = anisotropic();
+    let rho = noise(16, grid.len());
+    let (lo, hi) = grid.bounds();
+    let axis = Vec3::new(0.4, -0.3, 0.8).normalize();
+    for cone in [None, Some(Cone { axis, outer: 0.2, inner: 0.7 })] {
+        let lamp = Lamp { position: lo + 0.4 * (hi - lo), radius: 0.05, cone };
+        let [want, got] = both(|d| {
+            let mut out = d.alloc(grid.len()).unwrap();
+            d.irradiate(&lamp, &grid, &upload(d, &rho), &mut out).unwrap();
+            download(d, &out)
+        });
+        assert_close(&want, &got, 1e-5, &format!("{cone:?}"));
+        assert_eq!(cone.is_some(), want.contains(&0.0));
+    }
+}
+
 #[test]
 fn sources_agree() {
-    let n = 10_007;
+    let grid = Grid { size: [23, 19, 23], ..anisotropic() };
+    let n = grid.len();
     let sigma: Vec<f32> = noise(50, n).iter().map(|v| if *v < 0.2 { 0.0 } else { 5.0 * v }).collect();
     let volumes: Vec<Vec<f32>> = (51..58).map(|seed| noise(seed, n)).collect();
-    let lights = [(0.7, Vec3::new(0.6, 0.0, -0.8)), (2.0, Vec3::NEG_Y)];
+    let (lo, hi) = grid.bounds();
+    let lights = [(0.7, Travel::Along(Vec3::new(0.6, 0.0, -0.8))), (2.0, Travel::From(lo + 0.3 * (hi - lo)))];
     for (glows, forward) in [(false, None), (true, Some(1.3)), (true, None)] {
         let [want, got] = both(|d| {
             let sigma = upload(d, &sigma);
             let v: Vec<Buffer> = volumes.iter().map(|v| upload(d, v)).collect();
-            let first: Vec<(&Buffer, f32, Vec3)> = v[..2].iter().zip(lights).map(|(v, (e, u))| (v, e, u)).collect();
+            let first: Vec<(&Buffer, f32, Travel)> = v[..2].iter().zip(lights).map(|(v, (e, u))| (v, e, u)).collect();
             let mut out: [Buffer; 4] = std::array::from_fn(|_| d.alloc(n).unwrap());
             let [source, gradient @ ..] = out.each_mut();
             let term = SourceTerm {
                 sigma: &sigma,
                 scattering: &v[2],
                 emission: glows.then_some(&v[3]),
+                grid: &grid,
                 first: &first,
                 phi: &v[3],
                 current: forward.map(|f| ([&v[4], &v[5], &v[6]], f)),

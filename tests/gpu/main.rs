@@ -83,6 +83,7 @@ fn assert_close(want: &[f32], got: &[f32], tolerance: f32, what: &str) {
 fn table() -> Table {
     let at = |i: usize| i as f32 / (Table::ENTRIES - 1) as f32;
     Table {
+        chromatic: [1.0; 3],
         lo: 0.1,
         hi: 0.8,
         extinction: (0..Table::ENTRIES).map(|i| 9.0 * at(i) * at(i)).collect(),

@@ -2,7 +2,7 @@
 
 use gloaming::BrickLayout;
 use gloaming::camera::Camera;
-use gloaming::device::{March, Phong, Term, Weight};
+use gloaming::device::{Cone, Lamp, March, Phong, Term, Weight};
 use gloaming::field::EMPTY;
 use gloaming::frame::Frame;
 
@@ -66,10 +66,13 @@ fn phase(direction: [f32; 3], g: f32) -> Weight {
 
 #[test]
 fn marches_agree() {
+    let cone = Cone { axis: Vec3::new(0.1, 0.2, 0.9).normalize(), outer: -0.2, inner: 0.5 };
+    let lamp = Lamp { position: glam::DVec3::new(1.3, -1.4, 1.0), radius: 0.03, cone: Some(cone) };
     let weights = [
         (Weight::Uniform([0.2, 0.1, 0.3]), false),
         (phase([0.3, -0.5, -0.8], 0.6), true),
         (Weight::Current { axis: 1, weight: [0.3, 0.2, -0.4] }, false),
+        (Weight::Lamp { lamp, intensity: [0.02, 0.03, 0.01], g: 0.3 }, true),
     ];
     let towards_light = Vec3::new(-0.3, 0.5, 0.8).normalize();
     let phong = Phong { towards_light, ambient: 0.3, diffuse: 0.7, specular: 0.4, shininess: 20.0 };

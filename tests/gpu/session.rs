@@ -58,3 +58,27 @@ fn the_papers_model_agrees() {
     );
     assert_same_steps(&["light.model=paper", "light.falloff=physical", "lights.0.kind=point"], 1e-3);
 }
+
+#[test]
+fn point_and_cone_lights_agree() {
+    let sets = [
+        "transfer.anisotropy=0.4",
+        "light.scattering=false",
+        "lights.0.kind=point",
+        "lights.0.position=[40, 50, 60]",
+        "lights.0.intensity=5000",
+        "lights.1.kind=cone",
+        "lights.1.position=[-50, 48, 20]",
+        "lights.1.intensity=20000",
+        "lights.1.direction=[1, 0, 0.1]",
+        "lights.1.edge=5",
+        "lights.1.radius=5",
+    ];
+    assert_same_steps(&sets, 1e-4);
+}
+
+#[test]
+fn coloured_extinction_agrees() {
+    let sets = ["light.scattering=false", "transfer.chromatic=[0.2, 1, 3]", "transfer.emission=[[0, 0], [1, 0.1]]"];
+    assert_same_steps(&sets, 1e-4);
+}

@@ -3,10 +3,10 @@
 use std::sync::{Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers, Spread};
-use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport};
+use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Slab};
+use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
 pub(crate) mod bricks;
@@ -17,6 +17,7 @@ mod convect;
 mod diffuse;
 pub(crate) mod extend;
 pub mod float;
+mod irradiate;
 pub mod march;
 mod relax;
 pub mod simd;
@@ -24,6 +25,7 @@ mod source;
 mod spread;
 pub(crate) mod sweep;
 mod sweep_cubic;
+mod sweep_point;
 mod sweep_x;
 mod transport;
 
@@ -143,6 +145,22 @@ impl Device for Cpu {
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
         Ok(self.pool.install(|| sweep::sweep(sweep, layout, host(sigma), host_mut(rho), fronts)))
+    }
+
+    fn sweep_point(
+        &self,
+        sweep: &PointSweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        Ok(self.pool.install(|| sweep_point::sweep_point(sweep, layout, host(sigma), host_mut(rho), fronts)))
+    }
+
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| irradiate::irradiate(lamp, grid, host(rho), host_mut(out)));
+        Ok(())
     }
 
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {

@@ -2,11 +2,13 @@
 //!
 //! `S(Ω) = [σ_s*/4π · (φ + ΣE_l + 3g* Ω·(J + ΣE_l u_l)) + emission] / σ*`, 0 where σ* = 0.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::host;
 use super::simd::dispatch;
-use crate::device::SourceTerm;
+use crate::device::{SourceTerm, Travel};
+use crate::grid::Grid;
 
 /// Values worked on at a time: a few arrays of this length fit in a first-level cache.
 const CHUNK: usize = 1 << 11;
@@ -43,10 +45,53 @@ fn chunk_body(term: &SourceTerm, start: usize, source: &mut [f32], gradient: Opt
     }
     if let (Some(gradient), Some((current, weight))) = (gradient, term.current) {
         for (axis, out) in gradient.into_iter().enumerate() {
-            let light = term.first.iter().map(|&(e, irradiance, u)| (values(e), irradiance * u[axis]));
+            let light = term.first.iter().filter_map(|&(e, irradiance, travel)| match travel {
+                Travel::Along(u) => Some((values(e), irradiance * u[axis])),
+                Travel::From(_) => None,
+            });
             sum(out, values(current[axis]), light);
+            for &(e, irradiance, travel) in term.first {
+                if let Travel::From(position) = travel {
+                    spread(term.grid, position, axis, start, (values(e), irradiance), out);
+                }
+            }
             scatter(out, scattering, PER_SPHERE * weight, sigma);
         }
+    }
+}
+
+/// `out += irradiance·e·u` with u the component along `axis` of the way from `position`.
+#[inline(always)]
+fn spread(
+    grid: &Grid,
+    position: DVec3,
+    axis: usize,
+    start: usize,
+    (fluence, irradiance): (&[f32], f32),
+    out: &mut [f32],
+) {
+    let [nx, ny, _] = grid.size;
+    let h = DVec3::from(grid.spacing);
+    let p = ((position - DVec3::from(grid.origin)) / h).as_vec3();
+    let (h, near) = (h.as_vec3(), grid.mean_spacing() as f32);
+    let mut done = 0;
+    while done < out.len() {
+        // The rest of a row.
+        let at = start + done;
+        let (first, row) = (at % nx, at / nx);
+        let n = (nx - first).min(out.len() - done);
+        let (y, z) = (((row % ny) as f32 - p.y) * h.y, ((row / ny) as f32 - p.z) * h.z);
+        let rest = y * y + z * z;
+        let (out, fluence) = (&mut out[done..done + n], &fluence[done..done + n]);
+        let part = [0.0, y, z][axis];
+        let scale = if axis == 0 { 1.0 } else { 0.0 };
+        for i in 0..n {
+            let x = ((first + i) as i32 as f32 - p.x) * h.x;
+            let r = (x * x + rest).sqrt();
+            let r = if r > near { r } else { near };
+            out[i] += irradiance * fluence[i] * ((part + scale * x) / r);
+        }
+        done += n;
     }
 }
 

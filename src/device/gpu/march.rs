@@ -7,7 +7,7 @@ use glam::{DVec3, UVec2, UVec3, Vec3};
 
 use super::shader::MARCH;
 use super::{Gpu, holds, uvec3};
-use crate::device::{March, Part, Ray, Term, Weight};
+use crate::device::{Falloff, March, Part, Ray, Term, Weight};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::grid::Grid;
@@ -38,6 +38,7 @@ pub(super) struct Params {
     diffuse: f32,
     specular: f32,
     shininess: f32,
+    chromatic: Vec3,
     picture: UVec2,
     held: UVec2,
     cells: UVec2,
@@ -59,6 +60,10 @@ struct TermParams {
     direction: Vec3,
     g: f32,
     held: UVec2,
+    position: Vec3,
+    floor: f32,
+    outer: f32,
+    slope: f32,
 }
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
@@ -92,7 +97,7 @@ pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize;
             emission: table.emission.get(i).copied().unwrap_or_default().into(),
         })
         .collect();
-    let (terms, buffers) = place(gpu, march.terms, &part.terms)?;
+    let (terms, buffers) = place(gpu, march.terms, &part.terms, grid)?;
     let params = params(march, part, picture, optics.len());
     let carried = gpu.storage(bytemuck::cast_slice::<Ray, f32>(rays))?;
 
@@ -114,6 +119,8 @@ pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize;
         ("TERMS", march.terms.len() as f64),
         ("SKIP", f64::from(!march.majorant.is_empty())),
         ("SHADE", f64::from(march.phong.is_some())),
+        ("CHROMATIC", f64::from(march.table.chromatic != [1.0; 3])),
+        ("LAMPS", f64::from(march.terms.iter().any(|t| matches!(t.weight, Weight::Lamp { .. })))),
         ("GLOW", f64::from(march.table.emission.as_flattened().iter().any(|e| *e != 0.0))),
     ];
     gpu.run_with(&MARCH, "march", &parts, &bindings, [picture[0].div_ceil(8), picture[1].div_ceil(8), 1])?;
@@ -154,6 +161,7 @@ fn params(march: &March, part: &Part, picture: [usize; 2], entries: usize) -> Pa
         diffuse: phong.map_or(0.0, |p| p.diffuse),
         specular: phong.map_or(0.0, |p| p.specular),
         shininess: phong.map_or(0.0, |p| p.shininess),
+        chromatic: march.table.chromatic.into(),
         picture: UVec2::new(picture[0] as u32, picture[1] as u32),
         held: ends(&part.field),
         cells: UVec2::new(part.cells.start as u32, part.cells.end as u32),
@@ -162,10 +170,15 @@ fn params(march: &March, part: &Part, picture: [usize; 2], entries: usize) -> Pa
 
 /// The terms as the kernel takes them, largest first, and their light buffers: one for each term, but the last is shared,
 /// its terms copied together, where there are more.
-fn place(gpu: &Gpu, terms: &[Term], held: &[Range<usize>]) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer>)> {
+fn place(
+    gpu: &Gpu,
+    terms: &[Term],
+    held: &[Range<usize>],
+    data: &Grid,
+) -> Result<(Vec<TermParams>, Vec<wgpu::Buffer>)> {
     let mut order: Vec<(&Term, &Range<usize>)> = terms.iter().zip(held).collect();
     order.sort_by_key(|(t, held)| std::cmp::Reverse((t.grid.len(), t.grid.size, held.start)));
-    let mut placed: Vec<TermParams> = order.iter().map(|(t, held)| term_params(t, held)).collect();
+    let mut placed: Vec<TermParams> = order.iter().map(|(t, held)| term_params(t, held, data)).collect();
     let alone = if terms.len() <= SLOTS { terms.len() } else { SLOTS - 1 };
     let mut buffers = Vec::new();
     for (term, held) in &order[..alone] {
@@ -187,11 +200,27 @@ fn place(gpu: &Gpu, terms: &[Term], held: &[Range<usize>]) -> Result<(Vec<TermPa
     Ok((placed, buffers))
 }
 
-fn term_params(term: &Term, held: &Range<usize>) -> TermParams {
-    let (kind, weight, direction, g) = match term.weight {
-        Weight::Uniform(weight) => (0, weight, Vec3::ZERO, 0.0),
-        Weight::Phase { direction, irradiance, g } => (1, irradiance, direction, g),
-        Weight::Current { axis, weight } => (2, weight, Vec3::AXES[axis], 0.0),
+fn term_params(term: &Term, held: &Range<usize>, data: &Grid) -> TermParams {
+    let plain = |kind, weight: [f32; 3], direction, g| TermParams {
+        size: uvec3(term.grid.size),
+        first: 0,
+        weight: weight.into(),
+        kind,
+        direction,
+        g,
+        held: ends(held),
+        position: Vec3::ZERO,
+        floor: 0.0,
+        outer: 0.0,
+        slope: 0.0,
     };
-    TermParams { size: uvec3(term.grid.size), first: 0, weight: weight.into(), kind, direction, g, held: ends(held) }
+    match term.weight {
+        Weight::Uniform(weight) => plain(0, weight, Vec3::ZERO, 0.0),
+        Weight::Phase { direction, irradiance, g } => plain(1, irradiance, direction, g),
+        Weight::Current { axis, weight } => plain(2, weight, Vec3::AXES[axis], 0.0),
+        Weight::Lamp { lamp, intensity, g } => {
+            let Falloff { position, floor, axis, outer, slope, .. } = lamp.on(data, 1);
+            TermParams { position, floor, outer, slope, ..plain(3, intensity, axis, g) }
+        }
+    }
 }

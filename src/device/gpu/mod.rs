@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
 use crate::device::convection::{Convected, Convection, Layers, Spread};
-use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport};
+use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Slab};
+use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
 mod adapter;
@@ -20,12 +20,14 @@ mod compose;
 mod convect;
 mod diffuse;
 mod extend;
+mod irradiate;
 mod march;
 mod relax;
 pub mod shader;
 mod source;
 mod spread;
 mod sweep;
+mod sweep_point;
 mod transport;
 
 pub use adapter::{AdapterReport, adapters};
@@ -365,6 +367,21 @@ impl Device for Gpu {
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
         sweep::sweep(self, sweep, layout, sigma, rho, fronts)
+    }
+
+    fn sweep_point(
+        &self,
+        sweep: &PointSweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        sweep_point::sweep_point(self, sweep, layout, sigma, rho, fronts)
+    }
+
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        irradiate::irradiate(self, lamp, grid, rho, out)
     }
 
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {

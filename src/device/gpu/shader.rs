@@ -9,7 +9,9 @@ use std::sync::{Mutex, PoisonError};
 use encase::ShaderSize;
 use wgpu::naga;
 
-use super::{bricks, classify, convect, diffuse, extend, march, relax, source, spread, sweep, transport};
+use super::{
+    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, spread, sweep, sweep_point, transport,
+};
 use crate::error::{Error, Result};
 
 /// A kernel's WGSL, and what the host believes about it.
@@ -50,6 +52,10 @@ pub static BRICK_RANGE: Shader = shader!("brick_range", ["grid", "bricks", "tabl
 pub static CHANGE: Shader = shader!("change", ["grid", "bricks"], size_of::<bricks::Bricks>());
 /// See `shaders/sweep.wgsl`.
 pub static SWEEP: Shader = shader!("sweep", ["grid"], size_of::<sweep::Params>());
+/// See `shaders/sweep_point.wgsl`.
+pub static SWEEP_POINT: Shader = shader!("sweep_point", ["grid"], size_of::<sweep_point::Params>());
+/// See `shaders/irradiate.wgsl`.
+pub static IRRADIATE: Shader = shader!("irradiate", ["grid", "lamp"], size_of::<irradiate::Params>());
 /// See `shaders/source.wgsl`.
 pub static SOURCE: Shader = shader!("source", ["grid"], size_of::<source::Params>());
 /// See `shaders/transport.wgsl`.
@@ -71,7 +77,7 @@ pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params
 /// See `shaders/compose.wgsl`.
 pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/march.wgsl`.
-pub static MARCH: Shader = shader!("march", ["grid", "table"], size_of::<march::Params>());
+pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp"], size_of::<march::Params>());
 
 /// Every shader.
 pub fn shaders() -> Vec<&'static Shader> {
@@ -81,6 +87,8 @@ pub fn shaders() -> Vec<&'static Shader> {
         &BRICK_RANGE,
         &CHANGE,
         &SWEEP,
+        &SWEEP_POINT,
+        &IRRADIATE,
         &SOURCE,
         &TRANSPORT,
         &CONVECT,

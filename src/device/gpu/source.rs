@@ -1,10 +1,11 @@
 //! Source function of scattered light.
 
 use encase::ShaderType;
+use glam::{DVec3, UVec3, Vec3};
 
 use super::shader::SOURCE;
-use super::{Gpu, dispatch, holds};
-use crate::device::{Buffer, SourceTerm};
+use super::{Gpu, dispatch, holds, uvec3};
+use crate::device::{Buffer, SourceTerm, Travel};
 use crate::error::Result;
 
 #[derive(ShaderType)]
@@ -12,6 +13,9 @@ pub(super) struct Params {
     count: u32,
     forward: f32,
     glows: u32,
+    near: f32,
+    size: UVec3,
+    spacing: Vec3,
 }
 
 pub(super) fn source(
@@ -32,10 +36,14 @@ pub(super) fn source(
         Some((_, _, [x, y, z])) => [holds(x, values)?, holds(y, values)?, holds(z, values)?],
         None => [&unused[0], &unused[1], &unused[2]],
     };
+    let (spacing, origin) = (DVec3::from(term.grid.spacing).as_vec3(), DVec3::from(term.grid.origin));
     let params = Params {
         count: values as u32,
         forward: along.as_ref().map_or(0.0, |a| a.1),
         glows: u32::from(term.emission.is_some()),
+        near: term.grid.mean_spacing() as f32,
+        size: uvec3(term.grid.size),
+        spacing,
     };
     let params = gpu.uniform(&params)?;
     let kernel = gpu.kernel(&SOURCE)?;
@@ -68,15 +76,19 @@ pub(super) fn source(
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&kernel.pipeline(&gpu.device, "add_light", &[]));
-        for (fluence, irradiance, u) in term.first {
+        for (fluence, irradiance, travel) in term.first {
             pass.set_bind_group(0, &bind(holds(fluence, values)?)?, &[]);
-            let u = *irradiance * *u;
-            pass.set_immediates(0, bytemuck::cast_slice(&[*irradiance, u.x, u.y, u.z]));
+            let (v, radial) = match travel {
+                Travel::Along(u) => (*u, 0u32),
+                Travel::From(position) => (((*position - origin) / DVec3::from(term.grid.spacing)).as_vec3(), 1),
+            };
+            pass.set_immediates(0, bytemuck::cast_slice(&[*irradiance, v.x, v.y, v.z]));
+            pass.set_immediates(16, bytemuck::bytes_of(&radial));
             dispatch(&mut pass, groups);
         }
         pass.set_pipeline(&kernel.pipeline(&gpu.device, "scatter", &[]));
         pass.set_bind_group(0, &bind(&gpu.scratch(1)?)?, &[]);
-        pass.set_immediates(0, &[0; 16]);
+        pass.set_immediates(0, &[0; 20]);
         dispatch(&mut pass, groups);
     }
     gpu.submit(encoder)

@@ -14,7 +14,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::device::convection::{Convected, Convection, Layers, Spread};
-use crate::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Storage, Sweep, Transport, cpu};
+use crate::device::{
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport, cpu,
+};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::Frame;
@@ -329,6 +331,21 @@ impl Device for Paged {
         self.sweep_slabs(sweep, layout, sigma, rho, fronts)
     }
 
+    fn sweep_point(
+        &self,
+        sweep: &PointSweep,
+        layout: &BrickLayout,
+        sigma: &Buffer,
+        rho: &mut Buffer,
+        fronts: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        self.inner.sweep_point(sweep, layout, self.near(sigma)?, self.near_mut(rho)?, fronts)
+    }
+
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.inner.irradiate(lamp, grid, self.near(rho)?, self.near_mut(out)?)
+    }
+
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
         let first: Vec<_> =
             term.first.iter().map(|(rho, e, u)| Ok((self.near(rho)?, *e, *u))).collect::<Result<_>>()?;
@@ -340,6 +357,7 @@ impl Device for Paged {
             sigma: self.near(term.sigma)?,
             scattering: self.near(term.scattering)?,
             emission: term.emission.map(|e| self.near(e)).transpose()?,
+            grid: term.grid,
             first: &first,
             phi: self.near(term.phi)?,
             current,

@@ -1,8 +1,6 @@
 //! The fixed-point equation `x = Φ(x)` of scattered light in one colour channel, x = (φ, J).
 
-use glam::Vec3;
-
-use crate::device::{Buffer, Device, Ordinate, SourceTerm, Transport};
+use crate::device::{Buffer, Device, Ordinate, SourceTerm, Transport, Travel};
 use crate::error::Result;
 use crate::grid::Grid;
 
@@ -69,7 +67,7 @@ pub(super) struct Equation<'a> {
     /// Delta-scaled; `None`: nothing scatters or glows, S = 0.
     pub scattering: Option<&'a Buffer>,
     pub emission: Option<&'a Buffer>,
-    pub first: &'a [(&'a Buffer, f32, Vec3)],
+    pub first: &'a [(&'a Buffer, f32, Travel)],
     /// 3g*.
     pub linear: f32,
 }
@@ -84,6 +82,7 @@ impl Equation<'_> {
                     sigma: self.sigma,
                     scattering,
                     emission: self.emission,
+                    grid: self.grid,
                     first: self.first,
                     phi: &x.phi,
                     current: x.current.as_ref().map(|c| (c.each_ref(), self.linear)),

@@ -6,6 +6,7 @@ use glam::Vec3;
 
 use crate::device::Ordinate;
 use crate::error::{Error, Result};
+use crate::lights::Cell;
 
 /// The product set of `count = 2m²` directions, m Gauss–Legendre cosines × 2m azimuths: 8, 32 or 128. Weights sum to 4π;
 /// radiance `inflow` enters along each.
@@ -36,6 +37,25 @@ pub fn ordinates(count: usize, inflow: f32) -> Result<Vec<Ordinate>> {
     Ok(set)
 }
 
+/// A partition of the sphere that the set of `count` directions stands for: each direction's cell, as large as its weight,
+/// in the order of [`ordinates`]. Bands of z as high as the weights of the cosines, cut half-way between azimuths.
+///
+/// # Errors
+/// [`Error::Scene`] for a number of directions that is no set.
+pub fn cells(count: usize) -> Result<Vec<Cell>> {
+    ordinates(count, 0.0)?;
+    let m = (count as f64 / 2.0).sqrt() as usize;
+    let mut all = Vec::with_capacity(count);
+    let mut bottom = -1.0;
+    for (_, weight) in gauss_legendre(m) {
+        let top = bottom + weight;
+        let azimuth = |p: usize| PI * p as f64 / m as f64;
+        all.extend((0..2 * m).map(|p| Cell { z: [bottom, top], azimuth: [azimuth(p), azimuth(p + 1)] }));
+        bottom = top;
+    }
+    Ok(all)
+}
+
 /// Nodes and weights on [−1, 1], by Newton's method on the Legendre polynomial.
 fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
     // P_n and its derivative.
@@ -62,6 +82,19 @@ fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn directions_lie_in_cells_as_large_as_their_weights() {
+        for count in [8, 32, 128] {
+            for (cell, o) in cells(count).unwrap().iter().zip(ordinates(count, 0.0).unwrap()) {
+                let area = (cell.z[1] - cell.z[0]) * (cell.azimuth[1] - cell.azimuth[0]);
+                assert!((area - f64::from(o.weight)).abs() < 1e-6);
+                let azimuth = f64::from(o.direction.y).atan2(o.direction.x.into()).rem_euclid(2.0 * PI);
+                assert!(cell.azimuth[0] < azimuth && azimuth < cell.azimuth[1]);
+                assert!((cell.z[0]..cell.z[1]).contains(&o.direction.z.into()), "{cell:?} {o:?}");
+            }
+        }
+    }
 
     /// Moments of the sphere: ∫1 = 4π, ∫Ω_a = 0, ∫Ω_a Ω_b = 4π/3 δ_ab, ∫Ω_z⁴ = 4π/5 (from 4 cosines on).
     #[test]

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::lanes::{Lanes, opacity};
 use super::plan::{Albedo, Column, Group, Lattice, Optics, Plan, Volume};
-use crate::device::{March, Phong, Ray, Weight};
+use crate::device::{Falloff, March, Phong, Ray, Weight};
 
 /// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
 pub(super) const TILE: usize = 16;
@@ -44,7 +44,7 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
     assert!(plan.reach <= V::REACH, "indices must fit");
     let [w, h] = V::SHAPE;
     let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
-    let mut lanes = [[0.0; 16]; 5];
+    let mut lanes = [[0.0; 16]; 7];
     for y in (0..TILE).step_by(h) {
         for x in (0..TILE).step_by(w) {
             let at = [first[0] + x, first[1] + y];
@@ -54,17 +54,18 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
             let ray = |l: usize| (y + l / w) * TILE + x + l % w;
             let mut state = State {
                 radiance: three!(c => V::from_fn(|l| rays[ray(l)].radiance[c])),
-                transmittance: V::from_fn(|l| rays[ray(l)].transmittance),
+                through: three!(c => V::from_fn(|l| rays[ray(l)].transmittance[c])),
                 next: V::from_fn(|l| rays[ray(l)].next),
             };
             packet(plan, at, &mut weights, &mut state);
             let [r, g, b] = state.radiance;
-            for (value, lanes) in [r, g, b, state.transmittance, state.next].into_iter().zip(&mut lanes) {
+            let [t0, t1, t2] = state.through;
+            for (value, lanes) in [r, g, b, t0, t1, t2, state.next].into_iter().zip(&mut lanes) {
                 value.store(lanes);
             }
             for l in 0..w * h {
-                let [r, g, b, transmittance, next] = std::array::from_fn(|c| lanes[c][l]);
-                rays[ray(l)] = Ray { radiance: [r, g, b], transmittance, next };
+                let [r, g, b, t0, t1, t2, next] = std::array::from_fn(|c| lanes[c][l]);
+                rays[ray(l)] = Ray { radiance: [r, g, b], transmittance: [t0, t1, t2], next };
             }
         }
     }
@@ -83,7 +84,8 @@ fn dots<V: Lanes>(a: [V; 3], b: [V; 3]) -> V {
 /// What the rays of a packet carry along.
 struct State<V> {
     radiance: [V; 3],
-    transmittance: V,
+    /// Transmittance per channel.
+    through: [V; 3],
     next: V,
 }
 
@@ -220,18 +222,38 @@ fn extinction<V: Lanes>(optics: &Optics, value: V) -> V {
     V::select(value.lt(V::splat(crate::field::HOLE)), V::splat(0.0), sigma)
 }
 
+/// Henyey–Greenstein: (1 − g²) / (4π (1 + g² − 2g cos θ)^1.5).
+#[inline(always)]
+fn phase<V: Lanes>(g: f32, cos: V) -> V {
+    let s = (V::splat(1.0 + g * g) - V::splat(2.0 * g) * cos).max(V::splat(1e-12));
+    V::splat((1.0 - g * g) / (4.0 * std::f32::consts::PI)) / (s * s.sqrt())
+}
+
+/// Weight of a lamp at a position: falloff times phase function, per unit of intensity.
+#[inline(always)]
+fn lamp<V: Lanes>(falloff: &Falloff, g: f32, direction: [V; 3], position: [V; 3]) -> V {
+    let way: [V; 3] = three!(a => (position[a] - V::splat(falloff.position[a])) * V::splat(falloff.spacing[a]));
+    let square = dots(way, way);
+    let r = square.max(V::splat(1e-30)).sqrt();
+    let t = (dot(way, falloff.axis) / r - V::splat(falloff.outer)) * V::splat(falloff.slope);
+    let t = t.max(V::splat(0.0)).min(V::splat(1.0));
+    let shape = t * t * (V::splat(3.0) - V::splat(2.0) * t) / square.max(V::splat(falloff.floor));
+    // The way to the eye is −direction.
+    shape * phase(g, V::splat(0.0) - dots(direction, way) / r)
+}
+
 /// Weight of a term for each ray and channel.
 #[inline(always)]
 fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
     match *weight {
         Weight::Uniform(rgb) => three!(c => V::splat(rgb[c])),
         Weight::Phase { direction: travel, irradiance, g } => {
-            // Henyey–Greenstein: (1 − g²) / (4π (1 + g² − 2g cos θ)^1.5), the way to the eye being −direction.
-            let cos = V::splat(0.0) - dot(direction, travel);
-            let s = (V::splat(1.0 + g * g) - V::splat(2.0 * g) * cos).max(V::splat(1e-12));
-            let p = V::splat((1.0 - g * g) / (4.0 * std::f32::consts::PI)) / (s * s.sqrt());
+            // The way to the eye is −direction.
+            let p = phase(g, V::splat(0.0) - dot(direction, travel));
             three!(c => V::splat(irradiance[c]) * p)
         }
+        // Multiplied by what `lamp` gives at each sample.
+        Weight::Lamp { intensity, .. } => three!(c => V::splat(intensity[c])),
         Weight::Current { axis, weight } => {
             let to_eye = V::splat(0.0) - direction[axis];
             three!(c => V::splat(weight[c]) * to_eye)
@@ -241,7 +263,13 @@ fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
 
 /// `Σ weight·value` of all terms at a position.
 #[inline(always)]
-fn in_scatter<V: Lanes>(groups: &[Group], weights: &[[V; 3]], position: [V; 3], cell: &Cell<V>) -> [V; 3] {
+fn in_scatter<V: Lanes>(
+    groups: &[Group],
+    weights: &[[V; 3]],
+    direction: [V; 3],
+    position: [V; 3],
+    cell: &Cell<V>,
+) -> [V; 3] {
     let mut sum = [V::splat(0.0); 3];
     let mut weights = weights.iter();
     for group in groups {
@@ -254,8 +282,11 @@ fn in_scatter<V: Lanes>(groups: &[Group], weights: &[[V; 3]], position: [V; 3], 
                 Cell::new(lattice, three!(a => position[a] * V::splat(lattice.scale[a]) + V::splat(lattice.shift[a])));
             &own
         };
-        for ((volume, _), weight) in group.terms.iter().zip(&mut weights) {
-            let value = cell.value(lattice, volume);
+        for (term, weight) in group.terms.iter().zip(&mut weights) {
+            let mut value = cell.value(lattice, &term.volume);
+            if let (Some(falloff), Weight::Lamp { g, .. }) = (&term.falloff, term.weight) {
+                value = value * lamp(falloff, g, direction, position);
+            }
             sum = three!(c => sum[c] + weight[c] * value);
         }
     }
@@ -341,7 +372,9 @@ fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> 
 #[inline(always)]
 fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: &mut State<V>) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    let State { mut radiance, mut transmittance, next: mut n } = *state;
+    let State { mut radiance, mut through, next: mut n } = *state;
+    // Of the channel that dims least, where channels differ; `through` is of each then.
+    let mut transmittance = through[0].max(through[1]).max(through[2]);
     let rays = Rays::<V>::new(plan, at);
     let mut live = zero.lt(rays.length) & V::splat(March::OPAQUE).lt(transmittance);
     // Where rays leave the window; nowhere so far.
@@ -358,8 +391,8 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
         return;
     }
     let terms = plan.groups.iter().flat_map(|group| &group.terms);
-    for (lanes, (_, of)) in weights.iter_mut().zip(terms) {
-        *lanes = weight(of, rays.direction);
+    for (lanes, of) in weights.iter_mut().zip(terms) {
+        *lanes = weight(&of.weight, rays.direction);
     }
 
     let optics = &plan.optics;
@@ -391,8 +424,12 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
             }
             let alpha = opacity(sigma * ds);
             let opaque = transmittance * alpha;
+            let shares = match optics.chromatic {
+                None => [opaque; 3],
+                Some(k) => three!(c => through[c] * opacity(sigma * V::splat(k[c]) * ds)),
+            };
             if V::any(seen) {
-                let mut source = in_scatter(&plan.groups, weights, position, &cell);
+                let mut source = in_scatter(&plan.groups, weights, rays.direction, position, &cell);
                 if let Some(phong) = &plan.phong {
                     let factor = shade(plan, phong, rays.direction, position, sigma);
                     source = three!(c => source[c] * factor);
@@ -405,17 +442,34 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
                     }
                     Albedo::Rgb(columns) => three!(c => source[c] * entry.of(&columns[c])),
                 };
-                radiance = three!(c => radiance[c] + opaque * scattered[c]);
+                radiance = three!(c => radiance[c] + shares[c] * scattered[c]);
             }
             if let Some(emission) = &optics.emission {
                 let thin = sigma * ds;
-                let path = V::select(V::splat(1e-20).lt(thin), alpha / sigma, V::select(inside, ds, zero));
-                let glow = transmittance * path;
-                radiance = three!(c => radiance[c] + glow * entry.of(&emission[c]));
+                let clear = V::select(inside, ds, zero);
+                let glow = match optics.chromatic {
+                    None => {
+                        let path = V::select(V::splat(1e-20).lt(thin), alpha / sigma, clear);
+                        [transmittance * path; 3]
+                    }
+                    Some(k) => three!(c => {
+                        let dims = sigma * V::splat(k[c]);
+                        V::select(V::splat(1e-20).lt(dims * ds), shares[c] / dims, through[c] * clear)
+                    }),
+                };
+                radiance = three!(c => radiance[c] + glow[c] * entry.of(&emission[c]));
             }
-            transmittance = transmittance - opaque;
+            if optics.chromatic.is_some() {
+                through = three!(c => through[c] - shares[c]);
+                transmittance = through[0].max(through[1]).max(through[2]);
+            } else {
+                transmittance = transmittance - opaque;
+            }
             live = live & V::splat(March::OPAQUE).lt(transmittance);
         }
     }
-    *state = State { radiance, transmittance, next: V::select(left.lt(zero), n, left) };
+    if optics.chromatic.is_none() {
+        through = [transmittance; 3];
+    }
+    *state = State { radiance, through, next: V::select(left.lt(zero), n, left) };
 }

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 
 use super::empty::Distances;
 use crate::device::cpu::host;
-use crate::device::{March, Part, Phong, Weight};
+use crate::device::{Falloff, March, Part, Phong, Weight};
 use crate::grid::Slab;
 use crate::transfer::Table;
 
@@ -77,7 +77,15 @@ pub(super) struct Group<'a> {
     pub lattice: Lattice,
     /// The same planes of the same size as the data: the data's cell is used.
     pub with_data: bool,
-    pub terms: Vec<(Volume<'a>, Weight)>,
+    pub terms: Vec<Lit<'a>>,
+}
+
+/// A term.
+pub(super) struct Lit<'a> {
+    pub volume: Volume<'a>,
+    pub weight: Weight,
+    /// A lamp's, in the index space of the data.
+    pub falloff: Option<Falloff>,
 }
 
 /// One column of the transfer function, at least two entries long.
@@ -110,6 +118,8 @@ pub(super) struct Optics {
     /// Last entry.
     pub last: f32,
     pub extinction: Column,
+    /// Factor on extinction per channel, where they differ.
+    pub chromatic: Option<[f32; 3]>,
     pub albedo: Albedo,
     pub emission: Option<[Column; 3]>,
 }
@@ -127,7 +137,7 @@ impl Optics {
             Some(albedo) => Albedo::Constant(albedo),
             None => {
                 let rgb: [Column; 3] = columns(&table.albedo);
-                if table.gray() {
+                if table.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2]) {
                     Albedo::Gray(rgb.into_iter().next().expect("three columns"))
                 } else {
                     Albedo::Rgb(rgb)
@@ -140,6 +150,7 @@ impl Optics {
             scale: table.scale() * last,
             last,
             extinction,
+            chromatic: (table.chromatic != [1.0; 3]).then_some(table.chromatic),
             albedo,
             emission: glows.then(|| columns(&table.emission)),
         }
@@ -203,7 +214,11 @@ impl<'a> Plan<'a> {
         for (n, term) in march.terms.iter().enumerate() {
             let held = slab(term.grid.size, part.map(|p| &p.terms[n]));
             reach = reach.max(twice(held.size));
-            let entry = (Volume::new(host(term.values), &held), term.weight);
+            let falloff = match term.weight {
+                Weight::Lamp { lamp, .. } => Some(lamp.on(grid, 1)),
+                _ => None,
+            };
+            let entry = Lit { volume: Volume::new(host(term.values), &held), weight: term.weight, falloff };
             match groups.iter_mut().find(|g| g.held == held) {
                 Some(group) => group.terms.push(entry),
                 None => groups.push(Group {

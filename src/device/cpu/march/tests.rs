@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::camera::Camera;
-use crate::device::{Buffer, Phong, Storage, Term, Weight};
+use crate::device::{Buffer, Cone, Lamp, Phong, Storage, Term, Weight};
 use crate::field::EMPTY;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
@@ -93,10 +93,14 @@ impl Case {
         let same = buffer(noise(self.seed + 2, self.grid.len()));
         let coarse = buffer(noise(self.seed + 3, self.light.len()));
         let direction = Vec3::new(0.3, -0.5, -0.8).normalize();
+        let (lo, hi) = self.grid.bounds();
+        let cone = Cone { axis: direction, outer: -0.3, inner: 0.4 };
+        let lamp = Lamp { position: lo + 0.3 * (hi - lo), radius: 0.2, cone: Some(cone) };
         let term = |values, grid, weight| Term { values, grid, weight };
         let terms = [
             term(&coarse, &self.light, Weight::Uniform([0.2, 0.1, 0.3])),
             term(&same, &self.grid, Weight::Phase { direction, irradiance: [1.0, 2.0, 3.0], g: 0.7 }),
+            term(&coarse, &self.light, Weight::Lamp { lamp, intensity: [0.4, 0.5, 0.2], g: -0.4 }),
             term(&coarse, &self.light, Weight::Current { axis: 1, weight: [0.3, 0.2, -2.0] }),
         ];
         let mut frame = Frame::new([37, 21]);
@@ -138,6 +142,7 @@ fn case() -> impl Strategy<Value = Case> {
                 grid,
                 light: grid.resized(light),
                 table: Table {
+                    chromatic: if seed % 3 == 0 { [0.4, 1.0, 0.0] } else { [1.0; 3] },
                     lo: 0.1,
                     hi: 0.9,
                     extinction: (0..64).map(|i| if i < 8 { 0.0 } else { 0.02 * i as f32 }).collect(),
