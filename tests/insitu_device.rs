@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use gloaming::device::convection::{Convected, Convection, Layers, Spread};
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, March, Optic, Part, Ray, SourceTerm, Sweep, Transport};
+use gloaming::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Transport};
 use gloaming::field::{Dense, Timestep};
 use gloaming::frame::Frame;
 use gloaming::grid::{BrickLayout, Slab};
@@ -96,7 +96,20 @@ impl Device for Faulty {
     fn transport(&self, t: &Transport, phi: &mut Buffer, current: Option<[&mut Buffer; 3]>) -> Result<(f32, f32)> {
         self.inner.transport(t, phi, current)
     }
-    // The paper's model, which no test here asks for.
+    // Lights in a place and the paper's model, which no test here asks for.
+    fn sweep_point(
+        &self,
+        _: &PointSweep,
+        _: &BrickLayout,
+        _: &Buffer,
+        _: &mut Buffer,
+        _: &[&[u32]],
+    ) -> Result<Vec<f32>> {
+        unreachable!()
+    }
+    fn irradiate(&self, _: &Lamp, _: &Grid, _: &Buffer, _: &mut Buffer) -> Result<()> {
+        unreachable!()
+    }
     fn convect_layers(&self, _: &Convection, _: Layers, _: &Buffer, _: &Buffer, _: &mut Buffer) -> Result<Convected> {
         unreachable!()
     }

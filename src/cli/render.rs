@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, ValueEnum};
-use gloaming::Error;
 use gloaming::memory;
 use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::{ComponentKey, Scene};
