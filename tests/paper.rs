@@ -603,7 +603,40 @@ mod model {
         let mut fresh = Lit::new(grid, &sets);
         fresh.lights = lit.lights.clone();
         assert_eq!(light, fresh.show(&values).1);
-        assert_eq!(lit.show_over(&values, [0.0, 2.0]).0.bricks_active, 2 * boxes);
+        let (report, light) = lit.show_over(&values, [0.0, 2.0]);
+        assert!(report.bricks_active > boxes && report.bricks_active <= 2 * boxes, "{report:?}");
+        assert_eq!(light, fresh.show_over(&values, [0.0, 2.0]).1);
+    }
+
+    /// Ordered light leaves alone the bricks whose medium and inflow are the same, whatever kind of light, and is the cold
+    /// light to the bit.
+    #[test]
+    fn ordered_light_leaves_alone_what_did_not_change() {
+        let grid = Grid::new([48, 40, 44]);
+        let corner = |step: usize| {
+            let mut values = drifting(&grid, 0);
+            for (at, v) in values.iter_mut().enumerate() {
+                let p = [at % 48, at / 48 % 40, at / 1920];
+                if p.iter().all(|p| (2..8).contains(p)) {
+                    *v = 0.2 * (step % 3) as f32;
+                }
+            }
+            values
+        };
+        let away = "lights=[{direction=[-0.5, -0.6, -0.4]}]";
+        let place = "lights=[{kind=\"point\", position=[30, 21, 25]}]";
+        let outside = "lights=[{kind=\"point\", position=[70, 60, 30]}]";
+        for lights in [away, place, outside] {
+            let sets = [lights, "light.convection=ordered"];
+            let mut warm = Lit::new(grid, &sets);
+            for step in 0..4 {
+                let values = corner(step);
+                let (report, light) = warm.show(&values);
+                assert_eq!(light, Lit::new(grid, &sets).show(&values).1, "{lights}, step {step}");
+                let most = if step == 0 { report.bricks_total } else { report.bricks_total / 3 };
+                assert!((1..=most).contains(&report.bricks_active), "{lights}, step {step}: {report:?}");
+            }
+        }
     }
 
     /// However short the time, a step lights something, and the rest follows.

@@ -10,7 +10,8 @@
 //!
 //! # What is done again (Algorithm 1)
 //!
-//! A light is convected when the opacity changed, when its own direction or place did, or when it was left unfinished.
+//! A light is convected when the opacity changed, when its own direction or place did, or when it was left unfinished; in
+//! order, only the bricks are whose medium or inflow changed.
 //! Light is composed and diffused when any ρ or colour changed, and a moved camera changes nothing. A step spends at most
 //! `light.iterations` on a layer (and then, with `light.budget_ms`, goes on until the time is used up); what is left unfinished
 //! goes on in the next step from where it stands.
@@ -29,6 +30,9 @@ use crate::scene::{ConvectionMethod, DiffusionMethod, Falloff, OpacityScale, Sce
 mod diffusion;
 
 use diffusion::Diffusion;
+
+/// Edge of the bricks that ordered convection leaves alone: at half resolution they are as large as those of the data.
+const EDGE: usize = 16;
 
 /// What survives a step.
 #[derive(Default)]
@@ -51,6 +55,8 @@ struct Convected {
     error: f32,
     /// False until the first solve.
     solved: bool,
+    /// True when ρ is of an earlier medium than that of the step before.
+    behind: bool,
 }
 
 /// One light as this model sees it.
@@ -91,7 +97,7 @@ impl Paper {
         };
         Ok(Paper {
             diffusion: Diffusion::new(&keys, &grid),
-            layout: BrickLayout::new(grid.size, BrickLayout::EDGE),
+            layout: BrickLayout::new(grid.size, EDGE),
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
             spread: vec![],
@@ -117,16 +123,16 @@ impl Paper {
         let (data, field) = (medium.grid.size, &medium.field);
         device.classify(Optic::Extinction, &medium.table, data, field, self.grid.size, &mut self.sigma[0])?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
-        let changed = if warm {
+        let change = if warm {
             report.voxel_updates += self.grid.len() as u64;
-            device.distance(&self.sigma[0], &self.sigma[1])? > 0.0
+            Some(device.change(&self.layout, &self.sigma[0], &self.sigma[1])?)
         } else {
-            true
+            None
         };
         report.warm = warm;
         volume.grid = Some(self.grid);
         let sources: Vec<Source> = lights.iter().filter_map(|l| self.source(l)).collect();
-        let moved = self.convect(device, &sources, (warm, changed, begun), volume, &mut report)?;
+        let moved = self.convect(device, &sources, (change.as_deref(), begun), volume, &mut report)?;
         let environment = environment(lights);
         let composed = Some((sources, environment));
         if moved || volume.composed != composed {
@@ -185,16 +191,18 @@ impl Paper {
         &mut self,
         device: &dyn Device,
         sources: &[Source],
-        (warm, changed, begun): (bool, bool, Instant),
+        (change, begun): (Option<&[[f32; 3]]>, Instant),
         volume: &mut Unknowns,
         report: &mut SolveReport,
     ) -> Result<bool> {
         let tolerance = self.tolerance();
+        let changed = change.is_none_or(|c| c.iter().flatten().any(|c| *c > 0.0));
         volume.lights.truncate(sources.len());
         for (n, source) in sources.iter().enumerate() {
             if volume.lights.get(n).is_none_or(|l| l.convection.size != source.convection.size) {
                 let [rho, before] = [device.alloc(self.grid.len())?, device.alloc(self.grid.len())?];
-                let fresh = Convected { convection: source.convection, rho, before, error: 1.0, solved: false };
+                let fresh =
+                    Convected { convection: source.convection, rho, before, error: 1.0, solved: false, behind: false };
                 volume.lights.truncate(n);
                 volume.lights.push(fresh);
             }
@@ -202,7 +210,7 @@ impl Paper {
             if light.convection != source.convection {
                 (light.convection, light.solved) = (source.convection, false);
             }
-            light.solved &= warm;
+            light.solved &= change.is_some();
             if changed || !light.solved {
                 light.error = 1.0;
             }
@@ -214,19 +222,21 @@ impl Paper {
         order.retain(|&n| !volume.lights[n].solved || unfinished(&volume.lights[n]));
         let budget = self.keys.budget_ms.map(|ms| Duration::from_secs_f64(ms * 1e-3));
         let in_time = || budget.is_none_or(|b| begun.elapsed() < b);
-        let boxes = self.layout.len() as u64;
-        report.bricks_total += count as u64 * boxes;
-        report.bricks_active += order.len() as u64 * boxes;
+        report.bricks_total += (count * self.layout.len()) as u64;
+        // Iterations run over everything.
+        let iterated = order.iter().filter(|&&n| self.iterates(&volume.lights[n].convection)).count();
+        report.bricks_active += (iterated * self.layout.len()) as u64;
         let moved = !order.is_empty();
         let mut done = 0;
         'passes: while !order.is_empty() {
-            for &n in &order {
+            for (place, &n) in order.iter().enumerate() {
                 // A step lights something, however short its time.
                 if done > 0 && !in_time() {
                     self.turn = n;
+                    order[place..].iter().for_each(|&n| volume.lights[n].behind |= changed);
                     break 'passes;
                 }
-                self.pass(device, &mut volume.lights[n], report)?;
+                self.pass(device, &mut volume.lights[n], change, report)?;
                 done += 1;
             }
             let endless = self.keys.budget_ms.is_some() && self.keys.convection != ConvectionMethod::Ordered;
@@ -243,14 +253,19 @@ impl Paper {
     }
 
     /// One pass of convection of one light.
-    fn pass(&self, device: &dyn Device, light: &mut Convected, report: &mut SolveReport) -> Result<()> {
+    fn pass(
+        &self,
+        device: &dyn Device,
+        light: &mut Convected,
+        change: Option<&[[f32; 3]]>,
+        report: &mut SolveReport,
+    ) -> Result<()> {
         let sigma = &self.sigma[0];
-        let Convected { convection, rho, before, error, solved } = light;
+        let Convected { convection, rho, before, error, solved, behind } = light;
         let warm = *solved && self.tolerance() > 0.0;
         let voxels = self.grid.len() as u64;
-        let parallel = matches!(convection.rays, Rays::Parallel { .. });
         match self.keys.convection {
-            ConvectionMethod::Layers if parallel => {
+            ConvectionMethod::Layers if self.iterates(convection) => {
                 std::mem::swap(rho, before);
                 let start = if warm { Start::Best } else { Start::Upstream };
                 let iterations = self.keys.iterations as u32;
@@ -280,15 +295,61 @@ impl Paper {
                 report.voxel_updates += taken * voxels;
             }
             _ => {
-                let fronts = convection.fronts(&self.layout);
-                let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
-                device.convect_ordered(convection, &self.layout, sigma, rho, &fronts)?;
-                report.voxel_updates += voxels;
+                let change = change.filter(|_| *solved && !*behind);
+                let [bricks, updates] = self.ordered(device, convection, rho, change)?;
+                report.voxel_updates += updates;
+                report.bricks_active += bricks;
                 *error = 0.0;
             }
         }
-        *solved = true;
+        (*solved, *behind) = (true, false);
         Ok(())
+    }
+
+    /// True where a light is solved by iterations, false where in order.
+    fn iterates(&self, convection: &Convection) -> bool {
+        match self.keys.convection {
+            ConvectionMethod::Layers => matches!(convection.rays, Rays::Parallel { .. }),
+            ConvectionMethod::Volume => true,
+            ConvectionMethod::Ordered => false,
+        }
+    }
+
+    /// Ordered convection, given what changed since ρ was solved: a brick whose medium and inflow are the same to the bit is
+    /// left alone, so that the light is that of a cold solve to the bit. Returns bricks and voxels that were solved.
+    fn ordered(
+        &self,
+        device: &dyn Device,
+        convection: &Convection,
+        rho: &mut Buffer,
+        change: Option<&[[f32; 3]]>,
+    ) -> Result<[u64; 2]> {
+        let (layout, sigma) = (&self.layout, &self.sigma[0]);
+        let fronts = convection.fronts(layout);
+        let Some(change) = change else {
+            let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+            device.convect_ordered(convection, layout, sigma, rho, &fronts)?;
+            return Ok([layout.len() as u64, self.grid.len() as u64]);
+        };
+        let mut moved = vec![0.0f32; layout.len()];
+        let (mut bricks, mut updates) = (0, 0);
+        for front in &fronts {
+            let mut active = front.clone();
+            active.retain(|&b| {
+                let lit = || convection.upstream(layout, b as usize);
+                change[b as usize] != [0.0; 3] || lit().iter().any(|&n| moved[n as usize] != 0.0)
+            });
+            if active.is_empty() {
+                continue;
+            }
+            let changes = device.convect_ordered(convection, layout, sigma, rho, &[&active])?;
+            for (&b, change) in active.iter().zip(changes) {
+                moved[b as usize] = change;
+                updates += layout.region(b as usize).len() as u64;
+            }
+            bricks += active.len() as u64;
+        }
+        Ok([bricks, updates])
     }
 
     /// Composes (22) and diffuses (23).
