@@ -199,7 +199,7 @@ impl InSitu {
         let (spare, row) = match self.queue.admit(step, time, begun)? {
             Admission::Skipped => return Ok(Taken::Skipped),
             Admission::Dropped => return Ok(Taken::Dropped),
-            Admission::Room(spare, row) => (spare, row),
+            Admission::Room(spare, row) => (spare, *row),
         };
         let taken = catch_unwind(AssertUnwindSafe(|| take(spare)));
         match taken.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic)))) {

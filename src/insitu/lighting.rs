@@ -2,6 +2,7 @@
 //! cores and a pool of its own; nothing that goes wrong with one step ends it.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use crossbeam_channel::{Sender, bounded};
@@ -167,11 +168,8 @@ impl Lighting {
 
     /// True when every output has all its files of a step.
     fn is_complete(&self, step: u64) -> bool {
-        let has_all = |sink: &Box<dyn Sink>| {
-            let paths = sink.paths(step);
-            !paths.is_empty() && paths.iter().all(|p| p.exists())
-        };
-        !self.complete.is_empty() && self.complete.iter().all(has_all)
+        let has_all = |paths: Vec<PathBuf>| !paths.is_empty() && paths.iter().all(|p| p.exists());
+        !self.complete.is_empty() && self.complete.iter().all(|sink| has_all(sink.paths(step)))
     }
 
     fn advance(&mut self, step: &Timestep) -> Result<Output> {

@@ -55,7 +55,7 @@ pub(super) enum Admission {
     /// The queue is full.
     Dropped,
     /// There is room; the memory of an earlier copy, and how things stand.
-    Room(Vec<f32>, LedgerRow),
+    Room(Vec<f32>, Box<LedgerRow>),
 }
 
 /// What the lighting thread does next.
@@ -191,7 +191,7 @@ impl Queue {
         state.reserved += 1;
         state.unfinished += 1;
         let spare = state.spare.pop().unwrap_or_default();
-        Ok(Admission::Room(spare, row))
+        Ok(Admission::Room(spare, Box::new(row)))
     }
 
     /// True when every trigger asks for the step.

@@ -215,15 +215,19 @@ impl<B: AsRef<[u8]>> Strided<B> {
 
     /// Copies the shown values; the block has been checked.
     pub(super) fn copy_to(&self, out: &mut [f32]) {
-        let rows = self.region.size[1] * self.region.size[2];
         if let Some(bytes) = self.plain() {
             bytemuck::cast_slice_mut(out).copy_from_slice(bytes);
         } else if self.dtype == Dtype::native(Kind::F32) && self.strides[0] == 4 {
             let bytes = self.bytes.as_ref();
-            let length = 4 * self.region.size[0];
-            for (row, out) in (0..rows).zip(bytemuck::cast_slice_mut(out).chunks_exact_mut(length)) {
-                let from = self.at([0, row % self.region.size[1], row / self.region.size[1]]);
-                out.copy_from_slice(&bytes[from..from + length]);
+            let [nx, ny, nz] = self.region.size;
+            let mut rows = bytemuck::cast_slice_mut(out).chunks_exact_mut(4 * nx);
+            // Rows are short: a division for each would take as long as the row itself.
+            for k in 0..nz {
+                let mut from = self.at([0, 0, k]);
+                for out in rows.by_ref().take(ny) {
+                    out.copy_from_slice(&bytes[from..from + 4 * nx]);
+                    from = from.wrapping_add_signed(self.strides[1]);
+                }
             }
         } else {
             self.gather(Region { start: [0; 3], size: self.region.size }, out, |v| v as f32);

@@ -51,7 +51,7 @@ int main(int argc, char **argv) {
         if (!lit) continue;
         double copy = held_copy(now, n * n * n * sizeof *now), begun = held_now();
         int code = gloaming_push_block(lit, (uint64_t)step, 0.1 * step, &block, now, &error);
-        held_note(copy, held_now() - begun);
+        if (code == GLOAMING_OK) held_note(copy, held_now() - begun);
         if (code > 0) fprintf(stderr, "step %d: %s\n", step, error.message);
     }
     if (lit) {

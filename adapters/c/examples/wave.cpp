@@ -82,7 +82,7 @@ int main(int argc, char** argv) {
         const double copy = held_copy(shown.data(), shown.size() * sizeof(double)), begun = held_now();
         gloaming_error error;
         const int code = lit->give(step, 0.1 * step, gloaming::block<double>({n, n, n}), std::move(shown), &error);
-        held_note(copy, held_now() - begun);
+        if (code == GLOAMING_OK) held_note(copy, held_now() - begun);
         if (code > 0) std::fprintf(stderr, "step %d: %s\n", step, error.message);
     }
     if (lit) {
