@@ -134,12 +134,11 @@ impl Paper {
         let sources: Vec<Source> = lights.iter().filter_map(|l| self.source(l)).collect();
         let moved = self.convect(device, &sources, (change.as_deref(), begun), volume, &mut report)?;
         let environment = environment(lights);
-        let composed = Some((sources, environment));
-        if moved || volume.composed != composed {
-            let (sources, environment) = composed.expect("just made");
+        let composed = (sources, environment);
+        if moved || volume.composed.as_ref() != Some(&composed) {
             volume.composed = None;
-            self.compose(device, &sources, environment, warm, volume, &mut report)?;
-            volume.composed = Some((sources, environment));
+            self.compose(device, &composed.0, composed.1, warm, volume, &mut report)?;
+            volume.composed = Some(composed);
         }
         self.solved = true;
         report.sweeps = report.voxel_updates as f64 / self.grid.len() as f64;

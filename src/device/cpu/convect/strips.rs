@@ -89,7 +89,7 @@ pub(crate) fn convect(
     let errors = Shared::new(&mut errors);
     let run = |band: usize, block: usize| {
         STRIPS.with_borrow_mut(|strips| {
-            task(convection, &axes, pass, [band, block], sigma, Shared::reading(before), rho, errors, strips)
+            task(convection, &axes, pass, [band, block], sigma, [Shared::reading(before), rho], errors, strips)
         })
     };
     let together = |a: Convected, b: Convected| Convected {
@@ -115,7 +115,7 @@ pub(crate) fn convect(
 }
 
 dispatch! {
-    fn task(convection: &Convection, axes: &Axes, pass: Layers, at: [usize; 2], sigma: &[f32], before: Shared, rho: Shared, errors: Shared, strips: &mut Strips) -> Convected = task_body;
+    fn task(convection: &Convection, axes: &Axes, pass: Layers, at: [usize; 2], sigma: &[f32], light: [Shared; 2], errors: Shared, strips: &mut Strips) -> Convected = task_body;
 }
 
 #[inline(always)]
@@ -125,8 +125,7 @@ fn task_body(
     Layers { iterations, tolerance, start }: Layers,
     [band, block]: [usize; 2],
     sigma: &[f32],
-    before: Shared,
-    rho: Shared,
+    [before, rho]: [Shared; 2],
     errors: Shared,
     strips: &mut Strips,
 ) -> Convected {
