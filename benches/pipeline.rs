@@ -27,6 +27,9 @@ fn main() {
             device: Arc::new(Cpu::new(0).expect("threads")),
             outputs: vec![out.path().join("movie.mp4").to_str().expect("a name").into()],
             ledger: None,
+            follow: None,
+            resume: false,
+            keep: 0,
         };
         let begun = Instant::now();
         let rows = pipeline::run(job, &AtomicBool::new(false), &mut |_| ()).expect("run").rows;

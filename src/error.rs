@@ -76,3 +76,15 @@ impl Error {
         Error::Scene { line: None, key: key.into(), message: message.into() }
     }
 }
+
+/// Runs something of which a panic is an [`Error::Bug`].
+pub(crate) fn guarded<T>(run: impl FnOnce() -> Result<T>) -> Result<T> {
+    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(run));
+    caught.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))))
+}
+
+/// What a panic says.
+pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+    text.unwrap_or("a panic without words").into()
+}

@@ -47,6 +47,11 @@ pub trait Field: Send + Sync {
     /// them (physical units after packing), converted to f32; NaN and infinities are passed on.
     fn read(&self, region: Region, out: &mut [f32]) -> Result<()>;
 
+    /// True when reading costs no more than a copy.
+    fn is_resident(&self) -> bool {
+        false
+    }
+
     /// The same in f64, for statistics. The default goes through f32.
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
         let mut narrow = vec![0.0; out.len()];
@@ -89,6 +94,10 @@ impl Dense {
 }
 
 impl Field for Dense {
+    fn is_resident(&self) -> bool {
+        true
+    }
+
     fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
         if region.start == [0; 3] && region.size == self.size {
             out.copy_from_slice(&self.values);

@@ -48,7 +48,7 @@ use crossbeam_channel::bounded;
 
 use crate::device::Device;
 use crate::device::cpu::float::DefaultFloat;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, panic_text};
 use crate::field::{Dense, Timestep};
 use crate::scene::Scene;
 pub use crate::scene::{InSituKeys, Policy};
@@ -252,9 +252,4 @@ impl Drop for InSitu {
 /// Says something to whoever watches the simulation. It may have closed stderr, which is no reason to end it.
 fn say(text: &str) {
     let _ = writeln!(std::io::stderr(), "gloaming: {text}");
-}
-
-fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
-    text.unwrap_or("a panic without words").into()
 }

@@ -25,6 +25,8 @@ pub mod dtype;
 pub mod error;
 pub mod field;
 pub mod frame;
+#[doc(hidden)]
+pub mod fuzz;
 pub mod grid;
 pub mod insitu;
 pub mod ledger;

@@ -1,8 +1,11 @@
 //! A whole series: reading ∥ lighting and rendering ∥ writing, on bounded channels.
 //!
 //! One thread reads ahead, the calling thread lights and renders, one thread writes. A step that cannot be read is lost:
-//! stated on stderr and in the ledger, and the rest goes on. A sink or a device that fails ends the run with its error,
-//! after everything already finished is closed properly.
+//! stated on stderr and in the ledger, and the rest goes on. A sink or a device that fails, and a bug of ours, end the run
+//! with an error, after everything already finished is closed properly.
+
+mod range;
+mod resume;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,21 +15,18 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::device::Device;
-use crate::error::{Error, Result};
-use crate::field::{self, Dense, Timestep};
-use crate::grid::Slab;
+use crate::error::{Error, Result, guarded};
+use crate::field::{Dense, Timestep};
 use crate::ledger::{Ledger, LedgerRow};
-use crate::scene::{RangeKey, RangeOver, Scene};
+use crate::scene::Scene;
 use crate::session::{Session, cameras};
 use crate::sink::{self, Output, Sink, SinkOptions};
 use crate::source::Series;
+use crate::source::follow::Following;
 use crate::transfer::TransferFunction;
 
 /// Steps that may wait between two stages: one in hand and one ready is enough to overlap them.
 const DEPTH: usize = 2;
-
-/// Bytes of a step that are held at a time where only its range of values is wanted.
-const RANGE_BYTES: usize = 32 << 20;
 
 /// A series to light and where to write it.
 pub struct Job {
@@ -42,6 +42,13 @@ pub struct Job {
     pub outputs: Vec<String>,
     /// Ledger file (`.csv` or `.json`).
     pub ledger: Option<PathBuf>,
+    /// Steps that are still being written, instead of `indices`. Where neither scene nor file gives the range of values, it grows
+    /// with the steps.
+    pub follow: Option<Following>,
+    /// Steps whose files are all there, and which the ledger has, are not done again; the ledger is continued.
+    pub resume: bool,
+    /// Bytes of values that the pass for the range may keep, so that those steps are read once.
+    pub keep: u64,
 }
 
 /// What became of a run.
@@ -51,14 +58,27 @@ pub struct Summary {
     pub done: usize,
     /// Steps lost, with the reason.
     pub lost: Vec<(u64, String)>,
+    /// Steps that an earlier run had done.
+    pub skipped: usize,
     /// True when the run was stopped before its end.
     pub interrupted: bool,
     /// One row a step, lost ones included.
     pub rows: Vec<LedgerRow>,
 }
 
-/// A step has been written (or lost).
+/// What a run is at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Reading the steps for their range of values.
+    Range,
+    /// Lighting and writing.
+    Light,
+}
+
+/// A step has been written (or lost), or is read for its range.
 pub struct Progress<'a> {
+    /// What the run is at.
+    pub stage: Stage,
     /// Steps finished so far, lost ones included.
     pub finished: usize,
     /// Steps in all, where known.
@@ -72,26 +92,53 @@ pub type OnProgress<'a> = dyn FnMut(Progress) + Send + 'a;
 
 /// Runs a job to its end, or until `stop` is set: then the step in hand is finished and everything is closed.
 pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result<Summary> {
-    let Job { series, indices, scene, device, outputs, ledger } = job;
-    if indices.is_empty() {
-        let info = series.info();
+    let Job { series, indices, scene, device, outputs, ledger, follow, resume, keep } = job;
+    let info = series.info();
+    if indices.is_empty() && follow.is_none() {
         return Err(Error::format(
             info.series.first().cloned().unwrap_or_default(),
             format!("no step selected out of {}", info.steps.len()),
             "gloaming info SERIES lists the steps",
         ));
     }
-    let range = series_range(&*series, &indices, &scene, stop)?;
-    let total = indices.len();
-    let info = series.info();
-    let sinks = open_sinks(&scene, &outputs, total, [&info.field, &info.units, &info.time_units])?;
+    // A device that pages is one that has no room for whole steps.
+    let keep = if device.pages() { 0 } else { keep };
+    let count = if follow.is_some() { 0 } else { indices.len() };
+    let sinks = || open_sinks(&scene, &outputs, count, [&info.field, &info.units, &info.time_units]);
+    let done = if resume { resume::Done::of(sinks()?, &outputs, ledger.as_deref())? } else { resume::Done::default() };
+    let mut sinks = sinks()?;
+    if resume {
+        sinks.iter_mut().try_for_each(|s| s.resume())?;
+    }
+    let ledger = ledger.map(|path| if resume { Ledger::resume(path) } else { Ledger::create(path) }).transpose()?;
+    let left = indices.iter().filter(|&&i| !done.has(info.steps[i].step)).count();
+    let pass = match range::known(&*series, &scene) {
+        Some(range) => range::Pass { range, ..Default::default() },
+        // Frames that are there were made with the range of all steps.
+        None if follow.is_none() && left > 0 => guarded(|| range::pass(&*series, &indices, keep, stop, progress))?,
+        None => range::Pass::default(),
+    };
     let wants_light = sinks.iter().any(|s| s.wants_light());
-    let session = Session::new(device, scene, range, wants_light)?;
-    let steps = indices.into_iter().map(|i| {
-        let step = series.info().steps[i].step;
-        series.timestep(i).map_err(|e| (step, e))
+    let session = Session::new(device, scene, pass.range, wants_light)?;
+    let run = Run { session, sinks, ledger, total: follow.is_none().then_some(left) };
+    if let Some(mut follow) = follow {
+        let steps = std::iter::from_fn(move || follow.next(stop)).map(move |(step, opened)| match opened {
+            _ if done.has(step) => Ok(None),
+            Ok(step) => Ok(Some(step)),
+            Err(e) => Err((step, e)),
+        });
+        return run.drive(steps, stop, progress);
+    }
+    let (series, mut kept) = (&*series, pass.kept);
+    let steps = indices.into_iter().map(move |i| {
+        let step = info.steps[i].step;
+        match kept.remove(&i) {
+            _ if done.has(step) => Ok(None),
+            Some(kept) => Ok(Some(kept)),
+            None => guarded(|| series.timestep(i)).map(Some).map_err(|e| (step, e)),
+        }
     });
-    drive(steps, session, sinks, ledger, Some(total), stop, progress)
+    run.drive(steps, stop, progress)
 }
 
 /// Opens one sink for each target. `labels` are the field's name, its units and those of time, for pictures.
@@ -121,90 +168,70 @@ pub fn series_range(
     scene: &Scene,
     stop: &AtomicBool,
 ) -> Result<Option<[f64; 2]>> {
-    if scene.field.range != RangeKey::Over(RangeOver::Series) {
-        return Ok(None);
+    match range::known(series, scene) {
+        Some(range) => Ok(range),
+        None => Ok(range::pass(series, indices, 0, stop, &mut |_| ())?.range),
     }
-    if let Some((range, source)) = &series.info().range {
-        tracing::info!("values {}..{} from {source}", range[0], range[1]);
-        return Ok(Some(*range));
-    }
-    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-    let mut values = Vec::new();
-    for &i in indices {
-        if stop.load(Ordering::Relaxed) {
-            break;
-        }
-        // A step that cannot be read is reported when its turn comes.
-        let Ok(step) = series.timestep(i) else { continue };
-        let [nx, ny, nz] = step.grid.size;
-        let deep = (RANGE_BYTES / (4 * nx * ny).max(1)).clamp(1, nz);
-        values.resize(nx * ny * deep, 0.0);
-        let (mut least, mut most) = (lo, hi);
-        let read = (0..nz).step_by(deep).try_for_each(|z| {
-            let slab = Slab { size: step.grid.size, planes: z..(z + deep).min(nz) };
-            field::read_planes(&*step.field, &slab, &mut values)?;
-            for &v in values[..slab.len()].iter().filter(|v| **v >= field::HOLE) {
-                least = least.min(v);
-                most = most.max(v);
-            }
-            Ok::<_, Error>(())
-        });
-        if read.is_ok() {
-            (lo, hi) = (least, most);
-        }
-    }
-    if lo > hi {
-        return Ok(None);
-    }
-    tracing::info!("values {lo}..{hi} from a pass over {} steps; field.range = [lo, hi] saves it", indices.len());
-    Ok(Some([f64::from(lo), f64::from(hi)]))
 }
 
-/// Moves steps through the three stages.
-fn drive(
-    steps: impl Iterator<Item = std::result::Result<Timestep, (u64, Error)>> + Send,
-    mut session: Session,
+/// A step that was found: `None` when an earlier run has done it.
+type Found = std::result::Result<Option<Timestep>, (u64, Error)>;
+
+/// What the stages work with.
+struct Run {
+    session: Session,
     sinks: Vec<Box<dyn Sink>>,
-    ledger: Option<PathBuf>,
+    ledger: Option<Ledger>,
+    /// Steps that will come, where known.
     total: Option<usize>,
-    stop: &AtomicBool,
-    progress: &mut OnProgress<'_>,
-) -> Result<Summary> {
-    let (read_tx, read_rx) = bounded(DEPTH);
-    let (write_tx, write_rx) = bounded(DEPTH);
-    std::thread::scope(|scope| {
-        let pages = session.pages();
-        let reader = scope.spawn(move || read_ahead(steps, pages, read_tx, stop));
-        let writer = scope.spawn(move || write_behind(write_rx, sinks, ledger, total, progress));
-        let lit = light_up(&mut session, read_rx, write_tx, stop);
-        let written = writer.join().unwrap_or_else(|_| Err(Error::Closed("the writing thread died".into())));
-        // A failing sink closes the channel to it; its own error says more than the closed channel does.
-        let mut summary = written?;
-        lit?;
-        // Without this a reader that died would look like a series that ended.
-        reader.join().map_err(|_| Error::Closed("the reading thread died".into()))?;
-        summary.interrupted = stop.load(Ordering::Relaxed) && total.is_none_or(|t| summary.rows.len() < t);
-        if let (0, false, Some((step, why))) = (summary.done, summary.interrupted, summary.lost.first()) {
-            return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
-        }
-        Ok(summary)
-    })
+}
+
+impl Run {
+    /// Moves steps through the three stages.
+    fn drive(
+        self,
+        steps: impl Iterator<Item = Found> + Send,
+        stop: &AtomicBool,
+        progress: &mut OnProgress<'_>,
+    ) -> Result<Summary> {
+        let Run { mut session, sinks, ledger, total } = self;
+        let (read_tx, read_rx) = bounded(DEPTH);
+        let (write_tx, write_rx) = bounded(DEPTH);
+        std::thread::scope(|scope| {
+            let pages = session.pages();
+            let reader = scope.spawn(move || read_ahead(steps, pages, read_tx, stop));
+            let writer = scope.spawn(move || write_behind(write_rx, sinks, ledger, total, progress));
+            let lit = light_up(&mut session, read_rx, write_tx, stop);
+            let written = writer.join().unwrap_or_else(|_| Err(Error::Closed("the writing thread died".into())));
+            // A failing sink closes the channel to it; its own error says more than the closed channel does.
+            let mut summary = written?;
+            summary.skipped = lit?;
+            // Without this a reader that died would look like a series that ended.
+            reader.join().map_err(|_| Error::Closed("the reading thread died".into()))?;
+            summary.interrupted = stop.load(Ordering::Relaxed) && total.is_none_or(|t| summary.rows.len() < t);
+            if let (0, 0, false, Some((step, why))) =
+                (summary.done, summary.skipped, summary.interrupted, summary.lost.first())
+            {
+                return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
+            }
+            Ok(summary)
+        })
+    }
 }
 
 /// What the reader hands on: values in memory and the time they took, or why there are none.
-type Read = std::result::Result<(Timestep, f64), (u64, Error)>;
+type Read = std::result::Result<Option<(Timestep, f64)>, (u64, Error)>;
 
 /// Reads whole steps ahead of their turn; only opens them for a device that pages.
-fn read_ahead(
-    steps: impl Iterator<Item = std::result::Result<Timestep, (u64, Error)>>,
-    pages: bool,
-    to: Sender<Read>,
-    stop: &AtomicBool,
-) {
-    for step in steps {
+fn read_ahead(steps: impl Iterator<Item = Found>, pages: bool, to: Sender<Read>, stop: &AtomicBool) {
+    for found in steps {
         let begun = Instant::now();
-        let read = step.and_then(|t| if pages { Ok(t) } else { resident(t.clone()).map_err(|e| (t.step, e)) });
-        let read = read.map(|t| (t, begun.elapsed().as_secs_f64() * 1e3));
+        let read = |t: Timestep| {
+            let step = t.step;
+            let read = if pages { Ok(t) } else { guarded(|| resident(t)) }.map_err(|e| (step, e))?;
+            Ok((read, begun.elapsed().as_secs_f64() * 1e3))
+        };
+        let read = found.and_then(|t| t.map(read).transpose());
         if stop.load(Ordering::Relaxed) || to.send(read).is_err() {
             return;
         }
@@ -213,6 +240,10 @@ fn read_ahead(
 
 /// The same step with its values in memory.
 fn resident(step: Timestep) -> Result<Timestep> {
+    // What the pass for the range kept is in memory already.
+    if step.field.is_resident() {
+        return Ok(step);
+    }
     let mut values = vec![0.0; step.grid.len()];
     step.field.read(step.grid.region(), &mut values)?;
     Ok(Timestep { field: Arc::new(Dense::new(step.grid.size, values)), ..step })
@@ -221,16 +252,22 @@ fn resident(step: Timestep) -> Result<Timestep> {
 /// What the lighting stage hands on: an output, or the row of a lost step.
 type Lit = std::result::Result<Output, LedgerRow>;
 
-/// Lights and renders each step.
-fn light_up(session: &mut Session, from: Receiver<Read>, to: Sender<Lit>, stop: &AtomicBool) -> Result<()> {
+/// Lights and renders each step; the number of those that an earlier run had done.
+fn light_up(session: &mut Session, from: Receiver<Read>, to: Sender<Lit>, stop: &AtomicBool) -> Result<usize> {
+    let mut skipped = 0;
     for read in from {
         if stop.load(Ordering::Relaxed) {
             break;
         }
         let lit = match read {
-            Ok((step, read_ms)) => {
+            Ok(None) => {
+                session.pass_over();
+                skipped += 1;
+                continue;
+            }
+            Ok(Some((step, read_ms))) => {
                 let (number, time) = (step.step, step.time);
-                match session.advance(step) {
+                match guarded(|| session.advance(step)) {
                     Ok(mut output) => {
                         output.row.read_ms = read_ms;
                         Ok(output)
@@ -238,34 +275,35 @@ fn light_up(session: &mut Session, from: Receiver<Read>, to: Sender<Lit>, stop: 
                     Err(e @ (Error::Format { .. } | Error::Unsupported(_))) => {
                         Err(LedgerRow { step: number, time, lost: e.to_string(), ..Default::default() })
                     }
+                    Err(Error::Bug(why)) => return Err(Error::Bug(format!("step {number}: {why}"))),
                     Err(e) => return Err(e),
                 }
             }
+            Err((step, Error::Bug(why))) => return Err(Error::Bug(format!("reading step {step}: {why}"))),
             Err((step, e)) => Err(LedgerRow { step, lost: e.to_string(), ..Default::default() }),
         };
         if to.send(lit).is_err() {
             break;
         }
     }
-    Ok(())
+    Ok(skipped)
 }
 
 /// Writes each output to every sink and keeps the ledger; closes everything at the end, whatever happened.
 fn write_behind(
     from: Receiver<Lit>,
     mut sinks: Vec<Box<dyn Sink>>,
-    ledger: Option<PathBuf>,
+    mut ledger: Option<Ledger>,
     total: Option<usize>,
     progress: &mut OnProgress<'_>,
 ) -> Result<Summary> {
-    let mut ledger = ledger.map(Ledger::create).transpose()?;
     let mut summary = Summary::default();
     let mut outcome = Ok(());
     for lit in from {
         let row = match lit {
             Ok(mut output) => {
                 let begun = Instant::now();
-                outcome = sinks.iter_mut().try_for_each(|s| s.write(&output));
+                outcome = sinks.iter_mut().try_for_each(|s| guarded(|| s.write(&output)));
                 if outcome.is_err() {
                     break;
                 }
@@ -285,11 +323,12 @@ fn write_behind(
             }
         }
         summary.rows.push(row);
-        progress(Progress { finished: summary.rows.len(), total, row: summary.rows.last().expect("just pushed") });
+        let (finished, row) = (summary.rows.len(), summary.rows.last().expect("just pushed"));
+        progress(Progress { stage: Stage::Light, finished, total, row });
     }
     // Every sink is closed, also after one that failed.
     for sink in &mut sinks {
-        outcome = outcome.and(sink.finish());
+        outcome = outcome.and(guarded(|| sink.finish()));
     }
     outcome.map(|()| summary)
 }

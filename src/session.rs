@@ -110,6 +110,11 @@ impl Session {
         self.device.pages()
     }
 
+    /// Counts a step that an earlier run has done, so that a camera in orbit stands where it would have stood.
+    pub fn pass_over(&mut self) {
+        self.steps += 1;
+    }
+
     /// Lights and renders one step.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
         let device = &*self.device;

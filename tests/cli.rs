@@ -307,6 +307,57 @@ fn an_interruption_finishes_the_step_closes_the_movie_and_is_a_loss() {
 }
 
 #[test]
+fn a_run_follows_a_series_that_grows_and_another_takes_it_up() {
+    let here = folder();
+    let at = here.path().to_owned();
+    let writer = std::thread::spawn(move || {
+        std::fs::create_dir(at.join("later")).unwrap();
+        series(&at.join("later"), 4);
+        for step in 0..4 {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            std::fs::rename(at.join(format!("later/ball_{step:03}.raw")), at.join(format!("ball_{step:03}.raw")))
+                .unwrap();
+        }
+    });
+    let rest = ["--out", "f_{step}.png", "--ledger", "l.csv", "--steps", "0..4", "--set", "field.range=[0,1]"];
+    let followed = gloaming(here.path(), &render(&[&rest[..], &["--follow", "--idle-timeout", "1min"]].concat()));
+    writer.join().unwrap();
+    ends(&followed, 0);
+    assert!(stderr(&followed).contains("4 steps,") && !stderr(&followed).contains("ETA"), "{}", stderr(&followed));
+    assert!((0..4).all(|step| here.path().join(format!("f_{step}.png")).exists()));
+
+    std::fs::remove_file(here.path().join("f_2.png")).unwrap();
+    let resumed = gloaming(here.path(), &render(&[&rest[..], &["--resume"]].concat()));
+    ends(&resumed, 0);
+    assert!(
+        stderr(&resumed).contains("1 steps in") && stderr(&resumed).contains("3 done before"),
+        "{}",
+        stderr(&resumed)
+    );
+    assert_eq!(ledger::read(&here.path().join("l.csv")).unwrap().len(), 4);
+
+    let nothing = ["render", "none_{step}.h5", "--out", "f_{step}.png", "--follow", "--idle-timeout", "300ms"];
+    let nothing = gloaming(here.path(), &nothing);
+    ends(&nothing, 1);
+    assert!(stderr(&nothing).contains("no file matches"), "{}", stderr(&nothing));
+    ends(&gloaming(here.path(), &render(&["--out", "a.png", "--idle-timeout", "1min"])), 2);
+    ends(&gloaming(here.path(), &render(&["--out", "a.png", "--follow", "--idle-timeout", "soon"])), 2);
+}
+
+/// A raw file that was cut short among whole ones costs its own step.
+#[test]
+fn a_file_that_was_cut_short_is_a_loss() {
+    let here = folder();
+    series(here.path(), 3);
+    let whole = std::fs::read(here.path().join("ball_001.raw")).unwrap();
+    std::fs::write(here.path().join("ball_001.raw"), &whole[..1000]).unwrap();
+    let output = gloaming(here.path(), &render(&["--out", "f_{step}.png", "-q"]));
+    ends(&output, 3);
+    assert!(stderr(&output).contains("step 1 lost") && stderr(&output).contains("ball_001.raw"), "{}", stderr(&output));
+    assert!(here.path().join("f_2.png").exists() && !here.path().join("f_1.png").exists());
+}
+
+#[test]
 fn quiet_says_nothing_and_info_reads_what_render_reads() {
     let here = folder();
     series(here.path(), 1);

@@ -31,11 +31,19 @@ fn job(series: Box<dyn Series>, indices: Vec<usize>, scene: Scene, out: &Path) -
         device: Arc::new(Cpu::new(2).unwrap()),
         outputs: vec![at("f_{step:06}.png"), at("f_{step:06}.exr")],
         ledger: Some(out.join("ledger.csv")),
+        follow: None,
+        resume: false,
+        keep: 1 << 20,
     }
 }
 
 fn run(job: Job) -> Result<Summary> {
     pipeline::run(job, &AtomicBool::new(false), &mut |_| ())
+}
+
+/// Steps that are done: the pass for the range tells of its own progress.
+fn lit(progress: &pipeline::Progress) -> usize {
+    if progress.stage == pipeline::Stage::Light { progress.finished } else { 0 }
 }
 
 fn smoke() -> Box<dyn Series> {
@@ -166,8 +174,119 @@ fn a_reader_that_dies_is_an_error() {
     let mut scene = scene(&[]);
     scene.field.range = gloaming::scene::RangeKey::Fixed([0.0, 1.0]);
     let error = run(job(Box::new(Dies(smoke().info().clone())), vec![0, 1, 2], scene, out.path())).unwrap_err();
-    assert!(matches!(&error, Error::Closed(why) if why.contains("died")), "{error}");
+    assert!(
+        matches!(&error, Error::Bug(why) if why.contains("step 1") && why.contains("a bug in a reader")),
+        "{error}"
+    );
     assert!(out.path().join("f_000000.png").exists(), "what was done before stays");
+}
+
+/// A panic while a step is lit names the step; what was done before is closed and stays.
+#[test]
+fn a_panic_while_a_step_is_lit_is_an_error_that_names_the_step() {
+    struct Wrong(SeriesInfo);
+    impl Series for Wrong {
+        fn info(&self) -> &SeriesInfo {
+            &self.0
+        }
+        fn timestep(&self, index: usize) -> Result<Timestep> {
+            let step = Faulty::boxed(&[]).timestep(index)?;
+            // A field that is not what its grid says is a bug of a source's, found where its values are taken in.
+            let size = if index == 1 { [3, 3, 3] } else { step.grid.size };
+            Ok(Timestep { field: Arc::new(Dense::new(size, vec![0.5; size.iter().product()])), ..step })
+        }
+    }
+    let out = tempfile::tempdir().unwrap();
+    let mut scene = scene(&[]);
+    scene.field.range = gloaming::scene::RangeKey::Fixed([0.0, 1.0]);
+    let mut job = job(Box::new(Wrong(smoke().info().clone())), vec![0, 1, 2], scene, out.path());
+    job.outputs.push(out.path().join("m.mp4").to_str().unwrap().into());
+    let error = run(job).unwrap_err();
+    assert!(matches!(&error, Error::Bug(why) if why.contains("step 1")), "{error}");
+    assert!(out.path().join("f_000000.png").exists(), "what was done before stays");
+    assert_eq!(&std::fs::read(out.path().join("m.mp4")).unwrap()[4..8], b"ftyp", "the movie is closed");
+}
+
+/// Kept by the pass for the range or read again: the same pictures.
+#[test]
+fn steps_that_the_pass_for_the_range_kept_are_read_once() {
+    struct Counted(Box<dyn Series>, Arc<std::sync::atomic::AtomicUsize>);
+    impl Series for Counted {
+        fn info(&self) -> &SeriesInfo {
+            self.0.info()
+        }
+        fn timestep(&self, index: usize) -> Result<Timestep> {
+            self.1.fetch_add(1, Ordering::Relaxed);
+            self.0.timestep(index)
+        }
+    }
+    let pictures = [(0, 6), (1 << 20, 3), (100_000, 4)].map(|(keep, reads)| {
+        let (out, count) = (tempfile::tempdir().unwrap(), Arc::default());
+        let series = Counted(Faulty::boxed(&[]), Arc::clone(&count));
+        let passed = std::sync::atomic::AtomicUsize::new(0);
+        let job = Job { keep, ..job(Box::new(series), vec![0, 1, 2], scene(&["light.scattering=false"]), out.path()) };
+        let seen = &mut |p: pipeline::Progress| {
+            passed.fetch_add(usize::from(p.stage == pipeline::Stage::Range), Ordering::Relaxed);
+        };
+        pipeline::run(job, &AtomicBool::new(false), seen).unwrap();
+        assert_eq!((count.load(Ordering::Relaxed), passed.into_inner()), (reads, 3), "keep = {keep}");
+        gloaming::sink::exr::read(&out.path().join("f_000002.exr")).unwrap().pixels
+    });
+    assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2]);
+}
+
+/// A run that is taken up again does what is left, and its camera in orbit stands where it would have stood.
+#[test]
+fn a_resumed_run_does_what_is_left() {
+    let whole = tempfile::tempdir().unwrap();
+    let sets = ["field.range=[0.0, 1.0]", "light.tolerance=0", "light.scattering=false", "cameras.0.orbit=20"];
+    run(job(smoke(), (30..38).collect(), scene(&sets), whole.path())).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let job = |resume| Job { resume, ..job(smoke(), (30..38).collect(), scene(&sets), out.path()) };
+    let stop = AtomicBool::new(false);
+    pipeline::run(job(false), &stop, &mut |p| stop.store(lit(&p) >= 2, Ordering::Relaxed)).unwrap();
+    let first = |name: &str| std::fs::metadata(out.path().join(name)).unwrap().modified().unwrap();
+    let before = first("f_000030.exr");
+    let rows = |folder: &Path| gloaming::ledger::read(&folder.join("ledger.csv")).unwrap();
+    let done = rows(out.path()).len();
+    assert!((2..7).contains(&done), "the run was stopped after {done} steps");
+    // One of a step's two files is missing; a file that no row of the ledger knows is not trusted.
+    std::fs::remove_file(out.path().join("f_000031.png")).unwrap();
+    for name in ["f_000037.png", "f_000037.exr"] {
+        std::fs::write(out.path().join(name), b"half").unwrap();
+    }
+    let summary = run(job(true)).unwrap();
+    assert_eq!((summary.skipped, summary.done, summary.rows[0].step), (done - 1, 9 - done, 31));
+    assert_eq!(first("f_000030.exr"), before);
+    for step in 30..38 {
+        let read = |folder: &Path| gloaming::sink::exr::read(&folder.join(format!("f_{step:06}.exr"))).unwrap().pixels;
+        assert!(read(out.path()) == read(whole.path()), "step {step}");
+    }
+    let mut steps: Vec<u64> = rows(out.path()).iter().map(|row| row.step).collect();
+    steps.sort();
+    assert_eq!(steps, (30..38).collect::<Vec<_>>());
+    let summary = run(job(true)).unwrap();
+    assert_eq!((summary.skipped, summary.done, summary.interrupted), (8, 0, false));
+    // The description of all raw volumes lists those of the run before, too.
+    let with_raw = |resume, indices: &[usize]| {
+        let raw = out.path().join("l_{step:03}.raw").to_str().unwrap().to_string();
+        let mut with_raw = Job { outputs: vec![raw], indices: indices.to_vec(), ..job(resume) };
+        with_raw.ledger = None;
+        run(with_raw).unwrap()
+    };
+    with_raw(false, &[30, 31]);
+    let summary = with_raw(true, &[30, 31, 32]);
+    assert_eq!((summary.skipped, summary.done), (2, 1));
+    let all = out.path().join("l.xmf").to_str().unwrap().to_string();
+    let listed =
+        source::open(&SourceSpec { series: vec![all], component: Some("x".into()), ..Default::default() }).unwrap();
+    assert_eq!(listed.info().steps.len(), 3);
+    assert!((0..3).all(|i| listed.timestep(i).is_ok()));
+    // A movie is written anew, all of it.
+    let mut with_movie = job(true);
+    with_movie.outputs.push(out.path().join("m.mp4").to_str().unwrap().into());
+    let summary = run(with_movie).unwrap();
+    assert_eq!((summary.skipped, summary.done), (0, 8));
 }
 
 #[test]
@@ -184,10 +303,9 @@ fn a_failing_sink_ends_the_run() {
     let frames = out.path().join("frames");
     let mut job = job(smoke(), (0..40).collect(), scene(&[]), out.path());
     job.outputs = vec![frames.join("f_{step:06}.png").to_str().unwrap().into()];
-    let (frames_in, mut calls) = (frames.clone(), 0);
-    let error = pipeline::run(job, &AtomicBool::new(false), &mut |_| {
-        calls += 1;
-        if calls == 3 {
+    let frames_in = frames.clone();
+    let error = pipeline::run(job, &AtomicBool::new(false), &mut |p| {
+        if lit(&p) == 3 {
             std::fs::rename(&frames_in, frames_in.with_extension("moved")).unwrap();
             std::fs::write(&frames_in, "in the way").unwrap();
         }
@@ -203,7 +321,7 @@ fn stopping_keeps_what_is_done() {
     let stop = AtomicBool::new(false);
     let mut job = job(smoke(), (0..40).collect(), scene(&[]), out.path());
     job.outputs.push(out.path().join("movie.mp4").to_str().unwrap().into());
-    let summary = pipeline::run(job, &stop, &mut |p| stop.store(p.finished >= 2, Ordering::Relaxed)).unwrap();
+    let summary = pipeline::run(job, &stop, &mut |p| stop.store(lit(&p) >= 2, Ordering::Relaxed)).unwrap();
     assert!(summary.interrupted && summary.done >= 2 && summary.done < 40, "{} done", summary.done);
     assert!(out.path().join("movie.mp4").exists());
     assert!(out.path().join(format!("f_{:06}.png", summary.done - 1)).exists());

@@ -3,6 +3,7 @@
 //! Results go to stdout, everything else to stderr. Each command is one file here.
 
 use std::io::IsTerminal;
+use std::panic::AssertUnwindSafe;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
@@ -116,15 +117,18 @@ pub fn main() -> ExitCode {
         .without_time()
         .with_target(false)
         .init();
-    let done = match cli.command {
+    // What a panic says comes back as an error that names the step; where it happened is for those who ask.
+    std::panic::set_hook(Box::new(|panic| tracing::debug!("{panic}")));
+    let done = std::panic::catch_unwind(AssertUnwindSafe(|| match cli.command {
         Command::Render(args) => render::run(*args, cli.loudness.quiet, bars),
         Command::Info(args) => info::run(&args.series.spec(), args.stats, args.probe, args.json).map(|()| Done::Whole),
         Command::Savings(args) => savings::run(*args, cli.loudness.quiet, &bars),
         Command::Compare(args) => compare::run(&args).map(|()| Done::Whole),
         Command::Demo(args) => demo::run(&args, cli.loudness.quiet, &bars),
         Command::Devices(args) => devices::run(&args).map(|()| Done::Whole),
-    };
-    match done {
+    }));
+    let bug = |_| Err(Error::Bug("gloaming panicked; -v says where".into()).into());
+    match done.unwrap_or_else(bug) {
         Ok(Done::Whole) => ExitCode::SUCCESS,
         Ok(Done::WithLosses) => ExitCode::from(3),
         Err(e) if reader_left(&e) => ExitCode::SUCCESS,

@@ -1,6 +1,7 @@
 //! Values of options: sizes in bytes and pixels, ranges of steps, triples.
 
 use std::str::FromStr;
+use std::time::Duration;
 
 /// Bytes, as `512MiB`, `2G` or a plain number; K, M, G, T are powers of 1024, KB, MB, GB, TB of 1000.
 pub fn bytes(text: &str) -> Result<u64, String> {
@@ -21,6 +22,22 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     };
     let value = number.parse::<f64>().map_err(|_| wrong())? * factor;
     if value >= 1.0 && value < u64::MAX as f64 { Ok(value as u64) } else { Err(wrong()) }
+}
+
+/// A time, as `90`, `90s`, `10min`, `2h` or `500ms`.
+pub fn duration(text: &str) -> Result<Duration, String> {
+    let wrong = || format!("`{text}` is no time: write seconds, or 500ms, 90s, 10min, 2h");
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor = match unit.trim() {
+        "ms" => 1e-3,
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(wrong()),
+    };
+    let seconds = number.parse::<f64>().map_err(|_| wrong())? * factor;
+    Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero()).ok_or_else(wrong)
 }
 
 /// Width and height in pixels, as `1280x720`.
@@ -58,6 +75,11 @@ pub struct Steps {
 }
 
 impl Steps {
+    /// The step number before which the selection ends, where it does.
+    pub fn end(self) -> Option<u64> {
+        self.end
+    }
+
     /// Indices of the selected steps among all step numbers: those in `A ≤ step < B`, and of them every S-th.
     pub fn select(self, numbers: impl Iterator<Item = u64>) -> Vec<usize> {
         let within = |step: u64| step >= self.first && self.end.is_none_or(|end| step < end);

@@ -1,9 +1,11 @@
 //! Progress on stderr: a bar on a terminal, a line a step elsewhere.
 
 use std::io::{IsTerminal, Write};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use gloaming::ledger::LedgerRow;
+use gloaming::pipeline::{Progress, Stage};
 use indicatif::{HumanDuration, MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Log messages that do not disturb a progress bar: they are printed above it.
@@ -29,35 +31,61 @@ pub struct Report {
     bar: Option<ProgressBar>,
     quiet: bool,
     begun: Instant,
+    /// When the first step came to be lit, if there was a pass before.
+    lit: OnceLock<Instant>,
 }
 
+const STEPS: &str = "{bar:24.cyan} {pos}/{len} steps  {per_sec}  ETA {eta}  {msg}";
+const GROWING: &str = "{spinner:.cyan} {pos} steps  {per_sec}  {msg}";
+
 impl Report {
-    /// A report on `steps` steps.
-    pub fn new(steps: usize, quiet: bool, bars: &MultiProgress) -> Self {
+    /// A report on `steps` steps; `None` while it is not known how many will come.
+    pub fn new(steps: Option<usize>, quiet: bool, bars: &MultiProgress) -> Self {
         let shown = !quiet && std::io::stderr().is_terminal();
         let bar = shown.then(|| {
-            let style = ProgressStyle::with_template("{bar:24.cyan} {pos}/{len} steps  {per_sec}  ETA {eta}  {msg}");
-            let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
+            let style = ProgressStyle::with_template(if steps.is_some() { STEPS } else { GROWING });
+            let bar = ProgressBar::with_draw_target(steps.map(|n| n as u64), ProgressDrawTarget::hidden());
             let bar = bars.add(bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())));
             bar.enable_steady_tick(Duration::from_millis(500));
             bar
         });
-        Report { bar, quiet, begun: Instant::now() }
+        Report { bar, quiet, begun: Instant::now(), lit: OnceLock::new() }
     }
 
-    /// Shows a step that is finished, `finished` of `total`.
-    pub fn step(&self, finished: usize, total: usize, row: &LedgerRow) {
+    /// Shows a step that is finished, or how far the pass for the range of values is.
+    pub fn step(&self, progress: &Progress) {
+        let Progress { stage, finished, total, row } = *progress;
+        let begun = match stage {
+            Stage::Range => self.begun,
+            Stage::Light => *self.lit.get_or_init(|| {
+                self.bar.iter().for_each(ProgressBar::reset_eta);
+                Instant::now()
+            }),
+        };
+        let said = match stage {
+            Stage::Range => format!("reading step {} for the range of values", row.step),
+            Stage::Light => figures(row),
+        };
         match &self.bar {
             Some(bar) => {
+                bar.set_length(total.unwrap_or(0) as u64);
                 bar.set_position(finished as u64);
-                bar.set_message(figures(row));
+                bar.set_message(said);
             }
             None if self.quiet => {}
+            // A line now and then is enough for what is no result.
+            None if stage == Stage::Range && finished % 16 != 0 => {}
             None => {
-                let seconds = self.begun.elapsed().as_secs_f64();
+                let seconds = begun.elapsed().as_secs_f64();
                 let rate = finished as f64 / seconds.max(1e-9);
-                let left = Duration::from_secs_f64((total.saturating_sub(finished)) as f64 / rate);
-                eprintln!("{finished}/{total} steps, {rate:.2}/s, ETA {}: {}", HumanDuration(left), figures(row));
+                let Some(total) = total else {
+                    eprintln!("{finished} steps, {rate:.2}/s: {said}");
+                    return;
+                };
+                let left = total.saturating_sub(finished) as f64 / rate;
+                let eta = Duration::try_from_secs_f64(left).map_or("?".into(), |left| HumanDuration(left).to_string());
+                let what = if stage == Stage::Range { "for the range" } else { "steps" };
+                eprintln!("{finished}/{total} {what}, {rate:.2}/s, ETA {eta}: {said}");
             }
         }
     }

@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use gloaming::memory;
 use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::{ComponentKey, Scene};
+use gloaming::source::follow::{Following, Patience};
 use gloaming::source::{self, SourceSpec};
 use indicatif::{HumanDuration, MultiProgress};
 
@@ -27,10 +29,19 @@ Examples:
   gloaming render run.h5:/density --axes tzyx --steps 100..200:2 --size 1920x1080 --out a.mp4
   gloaming render dump_*.raw --raw dims=96x96x96,dtype=f64le --out movie.mp4
   gloaming render run.h5 --steps 7..8 --set light.directions=128 --out step7.exr
+  gloaming render 'run/plt_{step:05}.h5' --follow --idle-timeout 10min --out movie.mp4
+  gloaming render run.h5 --out frames/{step:06}.png --ledger ledger.csv --resume
+
+--follow takes a step when a later one exists, when FILE.done stands beside its file, or when its
+file has not changed for 2 s; HDF5 files that are being written are read through SWMR. Where neither
+the scene nor the file gives the range of values, it grows with the steps: field.range=[lo, hi] holds
+it. --resume skips the steps whose files all exist and, with --ledger, have a row there; a movie or a
+.vtkhdf takes all steps into one file and is written anew, every step lit again.
 
 Exit status: 0 done; 1 failed; 2 wrong usage; 3 done with losses (steps that could not be read or
-lit, or an interruption). Ctrl-C finishes the step in hand and closes the files; a second one stops
-at once."
+lit, or an interruption). --follow ends with 0 after the last step of --steps or when nothing came
+for the idle timeout, with 1 when no step came at all. Ctrl-C finishes the step in hand and closes
+the files; a second one stops at once."
 )]
 pub struct RenderArgs {
     #[command(flatten)]
@@ -72,6 +83,15 @@ pub struct RenderArgs {
     /// One row a step of what was done and what it cost (.csv or .json)
     #[arg(long, value_name = "FILE")]
     ledger: Option<PathBuf>,
+    /// Light steps as they appear while the simulation runs
+    #[arg(long)]
+    follow: bool,
+    /// Ends --follow when nothing has changed for so long, such as 90s, 10min, 2h
+    #[arg(long, value_name = "T", default_value = "5min", value_parser = parse::duration, requires = "follow")]
+    idle_timeout: Duration,
+    /// Skip steps that an earlier run has done
+    #[arg(long)]
+    resume: bool,
     /// Override a key of the scene, such as light.directions=8 or lights.0.intensity=5; may repeat
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
@@ -120,38 +140,59 @@ pub fn spec(args: SeriesArgs, scene: &Scene) -> SourceSpec {
     spec
 }
 
+/// Bytes of steps that the pass for the range keeps, as long as `--memory` leaves room.
+const KEEP: u64 = 256 << 20;
+
 /// Runs the command.
 pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result<Done> {
     let scene = args.scene()?;
-    let RenderArgs { series, out, steps, device, memory: budget, ledger, .. } = args;
-    let series = source::open(&spec(series, &scene))?;
+    let stop = stop_on_interrupt()?;
+    let RenderArgs { series, out, steps, device, memory: budget, ledger, follow, idle_timeout, resume, .. } = args;
+    let spec = spec(series, &scene);
+    let (series, follow) = if follow {
+        let patience = Patience { idle: idle_timeout, ..Default::default() };
+        if !quiet {
+            eprintln!("following {}; nothing new for {} ends it", spec.series.join(" "), HumanDuration(idle_timeout));
+        }
+        let select = Box::new(move |numbers: &[u64]| selected(steps, numbers));
+        let (series, following) = Following::open(spec, patience, select, steps.and_then(Steps::end), &stop)?;
+        (series, Some(following))
+    } else {
+        (source::open(&spec)?, None)
+    };
     let info = series.info();
     info.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    let numbers = || info.steps.iter().map(|s| s.step);
-    let indices = match steps {
-        Some(steps) => steps.select(numbers()),
-        None => (0..info.steps.len()).collect(),
-    };
-    if indices.is_empty() {
-        let (first, last) = (numbers().min().unwrap_or(0), numbers().max().unwrap_or(0));
-        anyhow::bail!("--steps selects none of the {} steps, which are numbered {first} to {last}", info.steps.len());
+    let numbers: Vec<u64> = info.steps.iter().map(|s| s.step).collect();
+    let indices = if follow.is_some() { Vec::new() } else { selected(steps, &numbers) };
+    if indices.is_empty() && follow.is_none() {
+        let (first, last) = (numbers.iter().min().unwrap_or(&0), numbers.iter().max().unwrap_or(&0));
+        anyhow::bail!("--steps selects none of the {} steps, which are numbered {first} to {last}", numbers.len());
     }
     let device = gloaming::device::open(&device, 0)?;
-    let device = match budget.or_else(memory::available) {
-        Some(budget) => memory::fit(device, &scene, &series.grid(), budget, &scratch_folder(&out[0]))?,
+    let budget = budget.or_else(memory::available);
+    let grid = series.grid();
+    let device = match budget {
+        Some(budget) => memory::fit(device, &scene, &grid, budget, &scratch_folder(&out[0]))?,
         None => device,
     };
-    tracing::info!("{}, {} steps of `{}` on {}", info.layout, indices.len(), info.field, device.name());
+    let room =
+        budget.map_or(Ok(KEEP), |b| memory::working_set(&scene, &grid).map(|needed| b.saturating_sub(needed)))?;
+    let keep = room.min(KEEP);
+    let total = follow.is_none().then_some(indices.len());
+    let count = total.map_or("growing".into(), |n| format!("{n} steps"));
+    tracing::info!("{}, {count} of `{}` on {}", info.layout, info.field, device.name());
 
-    let total = indices.len();
-    let job = Job { series, indices, scene, device, outputs: out.clone(), ledger };
-    let stop = stop_on_interrupt()?;
+    let job = Job { series, indices, scene, device, outputs: out.clone(), ledger, follow, resume, keep };
     let report = Report::new(total, quiet, &bars);
-    let summary = pipeline::run(job, &stop, &mut |step| report.step(step.finished, total, step.row));
+    let summary = pipeline::run(job, &stop, &mut |step| report.step(&step));
     let took = report.finish();
     let summary = summary?;
     if !quiet {
-        eprintln!("{} steps in {}: {}", summary.done, HumanDuration(took), out.join(", "));
+        let before = if summary.skipped > 0 { format!(", {} done before", summary.skipped) } else { String::new() };
+        eprintln!("{} steps in {}{before}: {}", summary.done, HumanDuration(took), out.join(", "));
+    }
+    if summary.done + summary.skipped + summary.lost.len() == 0 && total.is_none() && !summary.interrupted {
+        anyhow::bail!("no step came: the series opens, but none of its steps was complete or wanted");
     }
     Ok(losses(&summary, total))
 }
@@ -166,13 +207,19 @@ fn scratch_folder(out: &str) -> PathBuf {
     beside.filter(|folder| folder.is_dir()).unwrap_or_else(std::env::temp_dir)
 }
 
+/// Indices of the steps that `--steps` takes.
+fn selected(steps: Option<Steps>, numbers: &[u64]) -> Vec<usize> {
+    steps.map_or_else(|| (0..numbers.len()).collect(), |steps| steps.select(numbers.iter().copied()))
+}
+
 /// Says what was lost.
-fn losses(summary: &Summary, total: usize) -> Done {
+fn losses(summary: &Summary, total: Option<usize>) -> Done {
     for (step, why) in &summary.lost {
         eprintln!("step {step} lost: {why}");
     }
     if summary.interrupted {
-        eprintln!("interrupted: {} of {total} steps done", summary.done);
+        let of = total.map(|n| format!(" of {}", n - summary.skipped)).unwrap_or_default();
+        eprintln!("interrupted: {}{of} steps done", summary.done);
     }
     if summary.lost.is_empty() && !summary.interrupted { Done::Whole } else { Done::WithLosses }
 }

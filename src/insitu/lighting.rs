@@ -9,11 +9,11 @@ use crossbeam_channel::{Sender, bounded};
 
 use super::queue::{Arrived, Next, Queue};
 use super::writing::{Handed, Writing};
-use super::{Opening, panic_text, say};
+use super::{Opening, say};
 use crate::device::cpu::Cpu;
 use crate::device::cpu::float::DefaultFloat;
 use crate::device::{self, Device};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, panic_text};
 use crate::field::Timestep;
 use crate::ledger::{Ledger, LedgerRow};
 use crate::pipeline::open_sinks;
@@ -81,6 +81,9 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     let resumable = keys.resume && sinks.is_empty();
     let complete = if resumable { open_sinks(&scene, &keys.outputs, 0, [&field, "", ""])? } else { vec![] };
     let mut all = open_sinks(&scene, &keys.outputs, 0, [&field, "", ""])?;
+    if keys.resume {
+        all.iter_mut().try_for_each(|s| s.resume())?;
+    }
     all.append(&mut sinks);
     let ledger = match &keys.ledger {
         Some(path) if keys.resume => Some(Ledger::resume(path)?),

@@ -1,14 +1,13 @@
 //! The writing thread: every output to every sink, every row to the ledger. One sink's failure is not the others'.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Instant;
 
 use crossbeam_channel::Receiver;
 
 use super::queue::{Became, Queue};
-use super::{panic_text, say};
-use crate::error::{Error, Result};
+use super::say;
+use crate::error::{Result, guarded};
 use crate::ledger::{Ledger, LedgerRow};
 use crate::sink::{Output, Sink};
 
@@ -113,9 +112,4 @@ impl Writing {
             say(&format!("step {} lost: {}{times}", row.step, row.lost));
         }
     }
-}
-
-/// A panic as an error.
-fn guarded(run: impl FnOnce() -> Result<()>) -> Result<()> {
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))))
 }

@@ -27,7 +27,7 @@ mod mp4;
 mod overlay;
 mod png;
 mod raw;
-mod template;
+pub(crate) mod template;
 mod vtkhdf;
 mod whole;
 mod yuv;
@@ -76,6 +76,11 @@ pub trait Sink: Send {
     /// Closes what is open; the sink is not used afterwards. Called after an interruption and after errors too, so
     /// that a movie of the frames done is playable.
     fn finish(&mut self) -> Result<()>;
+
+    /// Takes up what an earlier run has left; called before the first step.
+    fn resume(&mut self) -> Result<()> {
+        Ok(())
+    }
 
     /// True when the sink needs the illuminated volume.
     fn wants_light(&self) -> bool {

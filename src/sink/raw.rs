@@ -2,6 +2,7 @@
 //! described by an `.xmf` beside it, and one `.xmf` for all steps that ParaView opens as a series:
 //! `light_{step:06}.raw` makes `light_000120.raw`, `light_000120.xmf` and `light.xmf`.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +18,8 @@ use crate::grid::Grid;
 /// Writes one raw file and its description per step, and the description of the series after each.
 pub(super) struct Raw {
     template: Template,
-    steps: Vec<Step>,
+    /// Each step's grid as XML, in step order.
+    grids: BTreeMap<u64, String>,
 }
 
 /// What a description says of one step.
@@ -30,7 +32,7 @@ struct Step {
 
 impl Raw {
     pub(super) fn new(template: Template) -> Self {
-        Raw { template, steps: vec![] }
+        Raw { template, grids: BTreeMap::new() }
     }
 
     /// The description of all steps; none when there is one step, which has its own.
@@ -47,13 +49,29 @@ impl Sink for Raw {
         write_whole(&raw, |file| write_values(file, light).map_err(|e| Error::io(&raw, e)))?;
         let time = output.time.unwrap_or(output.step as f64);
         let step = Step { step: output.step, time, grid: light.grid, raw };
-        describe(&step.raw.with_extension("xmf"), std::slice::from_ref(&step), false)?;
-        self.steps.retain(|s| s.step != step.step);
-        self.steps.push(step);
-        self.series().map_or(Ok(()), |path| describe(&path, &self.steps, true))
+        let own = step.raw.with_extension("xmf");
+        describe(&own, [&step.xml(&own)?], false)?;
+        let Some(series) = self.series() else { return Ok(()) };
+        self.grids.insert(step.step, step.xml(&series)?);
+        describe(&series, self.grids.values(), true)
     }
 
     fn finish(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn resume(&mut self) -> Result<()> {
+        let Some(path) = self.series().filter(|path| path.exists()) else { return Ok(()) };
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
+        // As `Step::xml` writes them, none inside of another.
+        for grid in text.split("<Grid Name=\"step ").skip(1) {
+            let (Some((number, _)), Some((inner, _))) = (grid.split_once('"'), grid.split_once("</Grid>")) else {
+                continue;
+            };
+            if let Ok(step) = number.parse() {
+                self.grids.insert(step, format!("<Grid Name=\"step {inner}</Grid>"));
+            }
+        }
         Ok(())
     }
 
@@ -78,16 +96,27 @@ fn write_values(file: &mut impl Write, light: &IlluminatedVolume) -> std::io::Re
     light.fluence.iter().flatten().try_for_each(|v| file.write_all(&v.to_le_bytes()))
 }
 
-/// Writes a description of steps, as a temporal collection or of the one step alone.
-fn describe(path: &Path, steps: &[Step], collection: bool) -> Result<()> {
-    let folder = path.parent().unwrap_or(Path::new(""));
+impl Step {
+    /// The step's grid as a file at `path` describes it.
+    fn xml(&self, path: &Path) -> Result<String> {
+        let mut xml = Writer::new_with_indent(Vec::new(), b' ', 2);
+        write_step(&mut xml, self, path.parent().unwrap_or(Path::new(""))).map_err(|e| Error::io(path, e))?;
+        Ok(String::from_utf8_lossy(&xml.into_inner()).into_owned())
+    }
+}
+
+/// Writes a description of grids, as a temporal collection or of the one grid alone.
+fn describe<'a>(path: &Path, grids: impl IntoIterator<Item = &'a String>, collection: bool) -> Result<()> {
+    let mut inner: String = grids.into_iter().flat_map(|grid| ["\n", grid]).collect();
+    inner.push('\n');
     write_whole(path, |file| {
         let mut xml = Writer::new_with_indent(file, b' ', 2);
+        let inner = Event::Text(BytesText::from_escaped(inner.as_str()));
         let written = xml.write_event(Event::Decl(BytesDecl::new("1.0", None, None))).and_then(|()| {
             xml.create_element("Xdmf").with_attribute(("Version", "2.0")).write_inner_content(|xml| {
                 xml.create_element("Domain").write_inner_content(|xml| {
                     if !collection {
-                        return steps.iter().try_for_each(|s| write_step(xml, s, folder));
+                        return xml.write_event(inner);
                     }
                     xml.create_element("Grid")
                         .with_attributes([
@@ -95,7 +124,7 @@ fn describe(path: &Path, steps: &[Step], collection: bool) -> Result<()> {
                             ("GridType", "Collection"),
                             ("CollectionType", "Temporal"),
                         ])
-                        .write_inner_content(|xml| steps.iter().try_for_each(|s| write_step(xml, s, folder)))?;
+                        .write_inner_content(|xml| xml.write_event(inner))?;
                     Ok(())
                 })?;
                 Ok(())

@@ -55,6 +55,12 @@ pub(crate) fn choose(path: &Path, candidates: &[Candidate], asked: Option<&str>)
 /// Which components to read of a vector of `count`: one, or all of them for the magnitude. A scalar has `[None]`.
 pub(crate) fn component(name: &str, count: Option<usize>, asked: Option<&str>) -> Result<Vec<Option<usize>>> {
     let Some(count) = count else { return Ok(vec![None]) };
+    // No vector has as many; a damaged header may claim any number.
+    const MOST: usize = 4096;
+    if count > MOST {
+        let found = format!("{count} components, of which no more than {MOST} are read");
+        return Err(Error::format(name, found, "--axes, if its axes were taken for others"));
+    }
     let index = match asked.unwrap_or("magnitude") {
         "magnitude" => return Ok((0..count).map(Some).collect()),
         "x" => Some(0),

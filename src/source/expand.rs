@@ -1,5 +1,6 @@
 //! From what was typed to files in step order: a file, several, a directory, a glob or a pattern.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
@@ -26,6 +27,8 @@ pub(crate) struct Files {
 pub(crate) fn expand(series: &[String]) -> Result<Files> {
     let mut dataset = None;
     let mut paths: Vec<PathBuf> = Vec::new();
+    // Numbers that stand where a pattern says that the step's number stands.
+    let mut told: HashMap<PathBuf, u64> = HashMap::new();
     let mut chosen_by_name = false;
     for typed in series {
         let (path, named) = split_dataset(typed);
@@ -42,7 +45,10 @@ pub(crate) fn expand(series: &[String]) -> Result<Files> {
             paths.push(whole.to_owned());
             continue;
         } else if let Some(pattern) = Pattern::parse(path) {
-            paths.extend(pattern.matches()?);
+            for (path, number) in pattern.matches()? {
+                told.insert(path.clone(), number);
+                paths.push(path);
+            }
         } else if path.contains(['*', '?', '[']) {
             paths.extend(listed(path, path)?.into_iter().filter(|p| p.is_file()));
         } else {
@@ -58,7 +64,12 @@ pub(crate) fn expand(series: &[String]) -> Result<Files> {
     }
     paths.sort();
     paths.dedup();
-    Ok(Files { entries: numbered(paths, chosen_by_name), dataset })
+    let mut entries = numbered(paths, chosen_by_name);
+    if entries.iter().all(|e| told.contains_key(&e.path)) {
+        entries.iter_mut().for_each(|e| e.number = told.get(&e.path).copied());
+        entries.sort_by_key(|e| e.number);
+    }
+    Ok(Files { entries, dataset })
 }
 
 /// `FILE:/dataset` in two; the colon of `C:/` is part of the path.
@@ -119,27 +130,28 @@ impl Pattern {
         (literals.len() > 1).then(|| Pattern { typed: typed.to_owned(), literals })
     }
 
-    fn matches(&self) -> Result<Vec<PathBuf>> {
+    /// The files that fit, with the number in each.
+    fn matches(&self) -> Result<Vec<(PathBuf, u64)>> {
         let escaped: Vec<String> = self.literals.iter().map(|l| glob::Pattern::escape(l)).collect();
         let all = listed(&escaped.join("*"), &self.typed)?;
-        Ok(all.into_iter().filter(|p| p.is_file() && self.fits(&p.to_string_lossy())).collect())
+        let numbered = |p: PathBuf| Some((p.is_file(), self.number(&p.to_string_lossy())?, p));
+        Ok(all.into_iter().filter_map(numbered).filter(|(is, ..)| *is).map(|(_, number, p)| (p, number)).collect())
     }
 
-    /// Whether `path` is the pattern with the same number in every place.
-    fn fits(&self, path: &str) -> bool {
+    /// The number in every place of the pattern, where `path` is the pattern with one number.
+    fn number(&self, path: &str) -> Option<u64> {
         let typed = self.literals[0].strip_prefix("./").unwrap_or(&self.literals[0]);
-        let Some(mut rest) = path.strip_prefix("./").unwrap_or(path).strip_prefix(typed) else { return false };
+        let mut rest = path.strip_prefix("./").unwrap_or(path).strip_prefix(typed)?;
         let mut number: Option<u64> = None;
         for literal in &self.literals[1..] {
             let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
-            let Ok(value) = rest[..digits].parse() else { return false };
+            let value = rest[..digits].parse().ok()?;
             if number.replace(value).is_some_and(|n| n != value) {
-                return false;
+                return None;
             }
-            let Some(after) = rest[digits..].strip_prefix(literal.as_str()) else { return false };
-            rest = after;
+            rest = rest[digits..].strip_prefix(literal.as_str())?;
         }
-        rest.is_empty()
+        number.filter(|_| rest.is_empty())
     }
 }
 
@@ -159,6 +171,15 @@ fn place_length(text: &str) -> Option<usize> {
 /// Files that only accompany another and are not a series of their own.
 const NOT_DATA: [&str; 16] =
     ["md", "txt", "log", "py", "toml", "json", "csv", "tsv", "png", "mp4", "exr", "sh", "par", "yml", "yaml", "tmp"];
+
+/// What the names of a series go through, on one path that need not exist.
+pub(crate) fn probe(typed: &str, path: &str) {
+    let (typed, _) = split_dataset(typed);
+    if let Some(pattern) = Pattern::parse(typed) {
+        pattern.number(path);
+    }
+    numbered(vec![PathBuf::from(typed), PathBuf::from(path)], true);
+}
 
 /// The one family of numbered files in a folder.
 fn directory(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -207,11 +228,11 @@ struct Name {
 impl Name {
     fn of(path: &Path) -> Name {
         let whole = path.to_string_lossy();
-        let extension = path.extension().map_or(0, |e| e.len() + 1);
-        // ".50" of "ez-12.50" is an extension to the path, not to the reader.
-        let extension =
-            if whole[whole.len() - extension..].bytes().skip(1).all(|b| b.is_ascii_digit()) { 0 } else { extension };
-        let (stem, extension) = whole.split_at(whole.len() - extension);
+        let named = path.extension().unwrap_or_default().to_string_lossy();
+        // ".50" of "ez-12.50" is an extension to the path, not to the reader; "a.h5/" has one that is not at its end.
+        let is_number = named.bytes().all(|b| b.is_ascii_digit());
+        let stem = whole.strip_suffix(&*named).filter(|stem| stem.ends_with('.') && !is_number);
+        let (stem, extension) = whole.split_at(stem.map_or(whole.len(), |stem| stem.len() - 1));
         let (mut text, mut numbers, mut rest) = (vec![String::new()], Vec::new(), stem);
         while let Some(letter) = rest.chars().next() {
             let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
@@ -267,8 +288,7 @@ fn numbered(paths: Vec<PathBuf>, chosen_by_name: bool) -> Vec<Entry> {
 /// The decimal number at the end of a file's stem, `12.5` for `ez-000012.50.h5`.
 fn decimal_of(path: &Path) -> Option<f64> {
     let stem = path.file_stem()?.to_string_lossy().into_owned();
-    let start = stem.rfind(|c: char| !c.is_ascii_digit() && c != '.').map_or(0, |i| i + 1);
-    let number = &stem[start..];
+    let number = stem.rsplit(|c: char| !c.is_ascii_digit() && c != '.').next()?;
     (number.contains('.')).then(|| number.parse().ok()).flatten()
 }
 
@@ -309,6 +329,9 @@ mod tests {
         let all = [("r1/o1.h5".to_owned(), Some(1)), ("r2/o2.h5".to_owned(), Some(2))];
         assert_eq!(found(&folder, "r{step:01}/o{step:01}.h5"), all);
         assert!(expand(&[format!("{}/q{{step}}.h5", folder.path().display())]).is_err());
+        // The number is the one in the place, whatever else varies or stands in the name.
+        let folder = touch(&["s10_v2.h5", "s9_v3.h5"]);
+        assert_eq!(found(&folder, "s{step}_v3.h5"), [("s9_v3.h5".to_owned(), Some(9))]);
     }
 
     #[test]
@@ -317,6 +340,8 @@ mod tests {
         let files = expand(&[format!("{}/ez-*.h5:/ez", folder.path().display())]).unwrap();
         assert_eq!(files.dataset.as_deref(), Some("/ez"));
         assert_eq!(files.entries.iter().map(|e| e.decimal.unwrap()).collect::<Vec<_>>(), [2.0, 2.5, 10.0]);
+        assert_eq!(decimal_of(Path::new("läufe/ε½2.5.h5")), Some(2.5));
+        assert_eq!(Name::of(Path::new("läufe/ε.½ü7/")).numbers, [7]);
     }
 
     #[test]

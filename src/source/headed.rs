@@ -55,9 +55,10 @@ pub(crate) fn plan(
             Err(why) => return Err(why),
         };
         let count = header.raw.steps.unwrap_or(1);
+        believable(&header, count)?;
         for index in 0..count {
             let next = steps.len() as u64;
-            let step = if count == 1 && files.entries.len() > 1 { entry.number.unwrap_or(next) } else { next };
+            let step = if count == 1 { entry.number.unwrap_or(next) } else { next };
             let values = values(&header.raw, header.bytes.clone(), index, count, spec)?;
             let time = header.time.or(entry.decimal);
             steps.push(Step { step, time, grid: Some(header.grid.clone()), values });
@@ -77,6 +78,21 @@ pub(crate) fn plan(
         (None, Some(why)) => Err(why),
         (None, None) => Err(Error::format("", "no files", "a file, a folder or a pattern")),
     }
+}
+
+/// Refuses a number of steps so far beyond what the file can hold that it is no file that was cut short.
+fn believable(header: &Header, count: usize) -> Result<()> {
+    const LOST: u64 = 1 << 16;
+    let path = header.bytes.path();
+    let length = std::fs::metadata(path).map_or(0, |about| about.len());
+    // No coding that is read packs more than 1032 bytes into one.
+    let most = if matches!(header.bytes, Bytes::File(_)) { length } else { length.saturating_mul(1032) };
+    let held = most / header.raw.step_bytes().unwrap_or(u64::MAX).max(1);
+    if count as u64 <= held.saturating_add(LOST) {
+        return Ok(());
+    }
+    let found = format!("its header claims {count} steps, but there are {length} bytes of values");
+    Err(Error::format(path, found, "the complete file"))
 }
 
 fn candidate(header: &Header, layout: &str, files: &Files) -> Candidate {

@@ -4,7 +4,7 @@
 //! a coarser cell repeats r times, and finer ones give the mean of those that fall into a cell, weighted by volume; finer
 //! patches win over coarser ones below them, so that no volume counts twice. What no patch covers is empty.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use super::series::Step;
@@ -210,6 +210,11 @@ pub(crate) struct OnLevel {
 }
 
 impl OnLevel {
+    /// The file of the first patch.
+    pub fn file(&self) -> Option<&Path> {
+        self.mesh.patches.first()?.values.file()
+    }
+
     /// Opens the mesh; its patches are opened when a region first meets them.
     pub fn open(&self, opened: &Arc<h5::Opened>) -> MeshField {
         let patches = self.mesh.patches.iter().map(|_| OnceLock::new()).collect();

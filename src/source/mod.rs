@@ -23,6 +23,9 @@
 //! | NRRD, MetaImage | raw, gzip or zlib, text; in one file or two | their first bytes |
 //! | raw | anything uniform: `dims` (along x, y, z), `dtype` (`f64le`, `u8`, …), `offset`, `order` (slowest first), `steps`, `components`, `gap` (bytes between steps), `start` (time of step 0) | `--raw` |
 //!
+//! HDF5 chunks are unpacked on all cores with the filters of deflate, shuffle, Fletcher-32, LZF, LZ4, Zstandard, Bitshuffle, Blosc and
+//! Blosc2; others are left to HDF5. A series that is still being written is [followed](follow).
+//!
 //! Spacing and origin in a file are taken in x, y, z order. Values are as stored, with packing undone; fill values and
 //! holes read as NaN. [`Series::timestep`] brings uneven axes to even ones and meshes to one level ([`SourceSpec::level`]);
 //! [`Series::native`] has the file's own. All that was assumed is in [`SeriesInfo::warnings`].
@@ -31,8 +34,9 @@ mod axes;
 mod choose;
 mod coords;
 mod enzo;
-mod expand;
-mod h5;
+pub(crate) mod expand;
+pub mod follow;
+pub(crate) mod h5;
 mod headed;
 mod mesh;
 mod mhd;
@@ -168,6 +172,12 @@ pub trait Series: Send + Sync {
 
     /// Opens the `index`-th step of `info().steps`, on a uniform grid.
     fn timestep(&self, index: usize) -> Result<Timestep>;
+
+    /// The file that holds the values of the `index`-th step, where it is one.
+    fn file(&self, index: usize) -> Option<&Path> {
+        let _ = index;
+        None
+    }
 
     /// Opens the same step as the file has it.
     fn native(&self, index: usize) -> Result<Native> {

@@ -79,11 +79,12 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Header>> {
             raw.dtype = Dtype { kind: Kind::F64, big_endian: false };
             let (values, from) = (need as usize / dtype.bytes(), offset as usize);
             offset = 0;
+            let source = data.clone();
             let decode = move || -> Result<Vec<u8>> {
-                let all = std::fs::read(&data).map_err(|e| Error::io(&data, e))?;
-                text_numbers(&String::from_utf8_lossy(all.get(from..).unwrap_or_default()), values, &data)
+                let all = std::fs::read(&source).map_err(|e| Error::io(&source, e))?;
+                text_numbers(&String::from_utf8_lossy(all.get(from..).unwrap_or_default()), values, &source)
             };
-            Bytes::Decoded(path.to_owned(), Arc::new(decode))
+            Bytes::Decoded(data, Arc::new(decode))
         }
         other => {
             return Err(fail(format!("NRRD encoded as `{other}`; raw, gzip and ascii are read"), "unu save -e raw"));

@@ -1,5 +1,6 @@
 //! A series as its layout found it, checked as a whole and opened step by step.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use super::values::Values;
@@ -126,6 +127,10 @@ impl Planned {
 impl Series for Planned {
     fn info(&self) -> &SeriesInfo {
         &self.info
+    }
+
+    fn file(&self, index: usize) -> Option<&Path> {
+        self.steps.get(index)?.values.file()
     }
 
     fn timestep(&self, index: usize) -> Result<Timestep> {

@@ -1,6 +1,6 @@
 //! What a step's values are made of: stored arrays, and the few ways in which several make one field.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{h5, mesh, raw};
@@ -31,6 +31,19 @@ impl Values {
     /// One part as it is, or the length of the vector that several make.
     pub fn of(mut parts: Vec<Values>) -> Values {
         if parts.len() == 1 { parts.swap_remove(0) } else { Values::Magnitude(parts) }
+    }
+
+    /// The file that holds the values, or the first of them.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Values::Hdf5(slab) => Some(&slab.file),
+            Values::Raw(slab) => Some(slab.bytes.path()),
+            Values::Magnitude(parts) => parts.first()?.file(),
+            Values::Flat(flat) => Some(&flat.file),
+            Values::Mesh(mesh) => mesh.file(),
+            Values::Constant(_) => None,
+            Values::Broken(path, ..) => Some(path),
+        }
     }
 
     /// Opens the values, which must fill a grid of `size`.

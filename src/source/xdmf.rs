@@ -50,7 +50,7 @@ pub(crate) fn plan(files: &Files, spec: &SourceSpec) -> Result<Plan> {
         let count = grids.len();
         for (grid, time) in grids {
             let next = steps.len() as u64;
-            let step = if count == 1 && files.entries.len() > 1 { entry.number.unwrap_or(next) } else { next };
+            let step = if count == 1 { entry.number.unwrap_or(next) } else { next };
             let arrays = arrays(&grid, &entry.path)?;
             let candidates: Vec<Candidate> = arrays.iter().map(Array::candidate).collect();
             let array = &arrays[choose(&entry.path, &candidates, asked)?];

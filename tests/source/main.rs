@@ -1,5 +1,6 @@
 //! Series from files: figures against known numbers, layouts, and files as they come from outside.
 
+mod filters;
 mod generic;
 mod headed;
 mod known;
@@ -7,6 +8,7 @@ mod layouts;
 mod malformed;
 mod metadata;
 mod originals;
+mod properties;
 mod raw;
 mod refined;
 mod uneven;

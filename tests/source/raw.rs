@@ -75,7 +75,7 @@ fn lengths_that_do_not_add_up_say_both_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.raw");
     std::fs::write(&path, vec![0; 1000]).unwrap();
-    says(&complaint(&raw(&path, "dims=5x4x3,dtype=f64le,steps=3"), None), &["1440 bytes", "1000", "steps=2"]);
+    says(&complaint(&raw(&path, "dims=50x4x3,dtype=f64le,steps=3"), None), &["14400 bytes", "1000", "steps=0"]);
     says(&complaint(&raw(&path, "dims=5x4x3,dtype=f64le"), None), &["40 of 1000 bytes over", "offset="]);
     says(&complaint(&raw(&path, "dims=5000x4000x3000,dtype=f64le"), None), &["480000000000 bytes", "1000"]);
     let huge = format!("dims={0}x{0}x{0},dtype=f64le", u32::MAX);
@@ -112,4 +112,25 @@ fn a_file_that_shrinks_between_steps_fails_its_step() {
     std::fs::write(&path, vec![0; 900]).unwrap();
     assert!(series.timestep(0).is_ok());
     says(&series.timestep(1).err().unwrap().to_string(), &["step 1", "byte 960", "900 bytes"]);
+}
+
+#[test]
+fn a_file_that_was_cut_short_costs_its_own_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    for (step, length) in [(0, 480), (1, 471), (2, 480), (3, 0)] {
+        std::fs::write(folder.path().join(format!("a{step}.raw")), vec![0; length]).unwrap();
+    }
+    let asked = raw(folder.path(), "dims=5x4x3,dtype=f64le");
+    let series = open(&asked).unwrap();
+    says(&series.info().warnings.join("\n"), &["a step will fail", "a1.raw"]);
+    assert!(series.timestep(0).is_ok() && series.timestep(2).is_ok());
+    says(&complaint(&asked, Some(1)), &["step 1", "a1.raw", "480 bytes", "471"]);
+    says(&complaint(&asked, Some(3)), &["step 3", "a3.raw", "empty"]);
+    // Of several steps in one file, those that are whole are read.
+    let path = folder.path().join("three");
+    std::fs::write(&path, vec![0; 1000]).unwrap();
+    let asked = raw(&path, "dims=5x4x3,dtype=f64le,steps=3");
+    says(&open(&asked).unwrap().info().warnings.join("\n"), &["2 of 3 steps are whole"]);
+    assert!(open(&asked).unwrap().timestep(1).is_ok());
+    says(&complaint(&asked, Some(2)), &["step 2", "byte 1440", "1000 bytes"]);
 }

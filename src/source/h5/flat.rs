@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use hdf5::{Dataset, H5Type};
+use hdf5::H5Type;
 
-use super::slab::read_error;
+use super::slab::{Held, read_error};
 use super::{Opened, Packing, Slab};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -38,8 +38,8 @@ impl Flat {
             whole: false,
             packing: Packing::default(),
         };
-        let dataset = opened.dataset(&self.file, &self.dataset, &axis)?;
-        let shape = dataset.shape();
+        let held = opened.dataset(&self.file, &self.dataset, &axis)?;
+        let shape = held.dataset.shape();
         let inside = (0..3).all(|a| self.ghosts[a].checked_add(size[a]).is_some_and(|end| end <= self.stored[a]));
         let end =
             self.stored.iter().try_fold(1usize, |n, &l| n.checked_mul(l)).and_then(|n| n.checked_add(self.offset));
@@ -52,7 +52,7 @@ impl Flat {
             );
             return Err(Error::format(self.name(), found, "the complete file"));
         }
-        Ok(FlatField { dataset, flat: self.clone() })
+        Ok(FlatField { held, flat: self.clone() })
     }
 
     fn name(&self) -> String {
@@ -62,7 +62,7 @@ impl Flat {
 
 /// An open [`Flat`].
 pub(crate) struct FlatField {
-    dataset: Arc<Dataset>,
+    held: Arc<Held>,
     flat: Flat,
 }
 
@@ -79,8 +79,8 @@ impl FlatField {
         };
         let ([i, j, k], [ei, ej, ek]) = (region.start, region.end());
         let first = at(i, j, k);
-        let read = self.dataset.read_slice_1d::<T, _>(first..at(ei - 1, ej - 1, ek - 1) + 1);
-        let read = read.map_err(|e| read_error(&self.flat.name(), &self.dataset, &e))?;
+        let read = self.held.dataset.read_slice_1d::<T, _>(first..at(ei - 1, ej - 1, ek - 1) + 1);
+        let read = read.map_err(|e| read_error(&self.flat.name(), &self.held.dataset, &e))?;
         let values = read.as_slice().unwrap_or_default();
         for (row, out) in out.chunks_exact_mut(region.size[0]).enumerate() {
             let from = at(i, j + row % region.size[1], k + row / region.size[1]) - first;

@@ -87,6 +87,7 @@ pub(crate) fn plan(input: Input, convention: &Convention) -> Result<Plan> {
         warnings: warnings
             .into_iter()
             .chain(tree.dangling.iter().map(|d| format!("{d}: the link leads nowhere")))
+            .chain(tree.unreadable.iter().map(|d| unreadable(d)))
             .collect(),
         ..SeriesInfo::default()
     };
@@ -105,7 +106,8 @@ fn find(tree: &Tree, file: &File, asked: Option<&str>, path: &Path) -> Result<Fo
     let all: Vec<Candidate> = tree.volumes.iter().map(candidate).collect();
     if all.is_empty() {
         let dangling = tree.dangling.iter().map(|d| format!("{d} (a link that leads nowhere)"));
-        let there: Vec<String> = tree.others.iter().cloned().chain(dangling).collect();
+        let unreadable = tree.unreadable.iter().map(|d| unreadable(d));
+        let there: Vec<String> = tree.others.iter().cloned().chain(dangling).chain(unreadable).collect();
         let found = match there.len() {
             0 => String::from("no datasets in this file"),
             _ => format!("no volume in this file; it has {}", there[..there.len().min(12)].join("; ")),
@@ -121,6 +123,12 @@ fn find(tree: &Tree, file: &File, asked: Option<&str>, path: &Path) -> Result<Fo
         _ => e,
     })?;
     Ok(tree.volumes[index].clone())
+}
+
+/// What to say of a dataset that does not open.
+fn unreadable(dataset: &str) -> String {
+    let (major, minor, patch) = hdf5::library_version();
+    format!("{dataset} (cannot be opened: damaged, or written by a newer HDF5 than {major}.{minor}.{patch})")
 }
 
 /// A dataset named outright that the walk did not list: one step's own path, or not a volume.
@@ -174,7 +182,7 @@ impl Source<'_> {
                     _ if told.is_some() => told.as_ref().map_or(next, |l| l[index] as u64),
                     (true, true) => next,
                     (true, false) => self.entry.number.unwrap_or(next),
-                    (false, _) if count.is_some() && members.len() == 1 => index as u64,
+                    (false, true) if members.len() == 1 => index as u64,
                     (false, _) => number.or(self.entry.number).unwrap_or(next),
                 };
                 let part =

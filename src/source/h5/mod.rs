@@ -7,7 +7,9 @@ mod athena;
 mod attributes;
 mod blocks;
 mod chombo;
+mod chunks;
 mod conventions;
+pub(crate) mod filters;
 mod flash;
 mod flat;
 mod gdf;
@@ -15,6 +17,7 @@ mod generic;
 mod netcdf;
 mod openpmd;
 mod slab;
+mod stored;
 mod tree;
 mod vtkhdf;
 

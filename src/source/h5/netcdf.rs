@@ -102,8 +102,7 @@ pub(crate) fn plan(mut input: Input) -> Result<Plan> {
         let times = times.unwrap_or_else(|| vec![own.as_ref().and_then(scalar_time)]);
         for (index, time) in times.into_iter().enumerate() {
             let next = steps.len() as u64;
-            let alone = count == 1 && input.files.entries.len() > 1;
-            let step = if alone { entry.number.unwrap_or(next) } else { next };
+            let step = if count == 1 { entry.number.unwrap_or(next) } else { next };
             let part = |c: &Option<usize>| {
                 Values::Hdf5(Slab {
                     file: entry.path.clone(),

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use hdf5::{Dataset, H5Type, Hyperslab, SliceOrIndex};
-use ndarray::{ArrayD, ArrayView3, ArrayViewMut3, Axis, s};
+use ndarray::{ArrayD, ArrayViewD, ArrayViewMut3, Axis, Ix3, s};
 
+use super::chunks::Chunks;
+use super::filters;
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::Region;
@@ -57,8 +59,8 @@ pub(crate) struct Slab {
 impl Slab {
     /// Opens the dataset and checks that it still has the shape that was found.
     pub fn open(&self, size: [usize; 3], opened: &Opened) -> Result<SlabField> {
-        let dataset = opened.dataset(&self.file, &self.dataset, self)?;
-        let shape = dataset.shape();
+        let held = opened.dataset(&self.file, &self.dataset, self)?;
+        let shape = held.dataset.shape();
         let fail = |found: String, remedy: &str| Err(Error::format(self.name(), found, remedy));
         if shape.len() != self.rank {
             let found =
@@ -75,40 +77,52 @@ impl Slab {
             let found = format!("the grid changes from {} to {} (x, y, z)", shape_text(&size), shape_text(&is));
             return fail(found, "--steps A..B for the steps before or after the change");
         }
-        Ok(SlabField { dataset, slab: self.clone() })
+        Ok(SlabField { held, slab: self.clone() })
     }
 
     /// `FILE:/dataset`.
-    fn name(&self) -> String {
+    pub fn name(&self) -> String {
         format!("{}:{}", self.file.display(), self.dataset)
     }
 }
 
-/// Decoded chunks kept at most, so that reading brick by brick decodes each chunk once.
+/// Decoded chunks kept at most where HDF5 decodes, so that reading brick by brick decodes each chunk once.
 const CACHE: usize = 256 << 20;
+
+/// A dataset held open.
+pub(super) struct Held {
+    pub dataset: Dataset,
+    /// How to unpack its chunks without HDF5, where that is possible.
+    chunks: Option<Chunks>,
+}
 
 /// Datasets held open from one step to the next.
 #[derive(Default)]
-pub(crate) struct Opened(Mutex<VecDeque<(PathBuf, String, Arc<Dataset>)>>);
+pub(crate) struct Opened(Mutex<VecDeque<(PathBuf, String, Arc<Held>)>>);
 
 impl Opened {
     /// Datasets kept: the three components of a vector and one more.
     const KEPT: usize = 4;
 
-    pub(super) fn dataset(&self, path: &Path, name: &str, slab: &Slab) -> Result<Arc<Dataset>> {
+    pub(super) fn dataset(&self, path: &Path, name: &str, slab: &Slab) -> Result<Arc<Held>> {
         let mut kept = self.0.lock().unwrap_or_else(|e| e.into_inner());
-        if let Some((.., dataset)) = kept.iter().find(|(p, n, _)| p == path && n == name) {
-            return Ok(dataset.clone());
+        if let Some((.., held)) = kept.iter().find(|(p, n, _)| p == path && n == name) {
+            return Ok(held.clone());
         }
-        let first = super::open_dataset(&super::open_file(path, 0)?, path, name)?;
-        let cache = cache_bytes(&first, slab);
-        drop(first);
-        let dataset = Arc::new(super::open_dataset(&super::open_file(path, cache)?, path, name)?);
+        let open = |cache| super::open_dataset(&super::open_file(path, cache)?, path, name);
+        let mut dataset = open(0)?;
+        let chunks = if slab.rank >= 3 { Chunks::of(&dataset) } else { None };
+        if chunks.is_none() {
+            let cache = cache_bytes(&dataset, slab);
+            drop(dataset);
+            dataset = open(cache)?;
+        }
+        let held = Arc::new(Held { dataset, chunks });
         if kept.len() == Self::KEPT {
             kept.pop_front();
         }
-        kept.push_back((path.to_owned(), name.to_owned(), dataset.clone()));
-        Ok(dataset)
+        kept.push_back((path.to_owned(), name.to_owned(), held.clone()));
+        Ok(held)
     }
 }
 
@@ -130,13 +144,31 @@ const TILE: usize = 32;
 
 /// An open [`Slab`].
 pub(crate) struct SlabField {
-    dataset: Arc<Dataset>,
+    held: Arc<Held>,
     slab: Slab,
 }
 
 impl SlabField {
-    /// Reads values of type `T` as stored and hands them to `take` in (z, y, x) order.
-    fn read_as<T: H5Type + Copy, O: Copy>(&self, region: Region, out: &mut [O], take: impl Fn(T) -> O) -> Result<()> {
+    /// Reads a region in (z, y, x) order; `take` makes values of numbers that HDF5 converts to `T`, `narrow` of those that
+    /// are unpacked here.
+    fn read_as<T: H5Type + Copy, O: Copy + Default + Send>(
+        &self,
+        region: Region,
+        out: &mut [O],
+        take: impl Fn(T) -> O,
+        narrow: impl Fn(f64) -> O + Sync,
+    ) -> Result<()> {
+        let Held { dataset, chunks } = &*self.held;
+        match chunks {
+            Some(chunks) => {
+                chunks.read((dataset, &self.slab), region, out, narrow, |region, out| self.convert(region, out, &take))
+            }
+            None => self.convert(region, out, take),
+        }
+    }
+
+    /// Has HDF5 read a region.
+    fn convert<T: H5Type + Copy, O: Copy>(&self, region: Region, out: &mut [O], take: impl Fn(T) -> O) -> Result<()> {
         let mut along = vec![SliceOrIndex::from(0..1); self.slab.rank];
         for &(axis, at) in &self.slab.fixed {
             along[axis] = (at..at + 1).into();
@@ -145,46 +177,65 @@ impl SlabField {
             let start = self.slab.start[a] + region.start[a];
             along[axis] = (start..start + region.size[a]).into();
         }
-        let read: ArrayD<T> = self
-            .dataset
-            .read_slice(Hyperslab::from(along))
-            .map_err(|e| read_error(&self.slab.name(), &self.dataset, &e))?;
-        let [x, y, z] = self.slab.space;
-        let others = (0..self.slab.rank).filter(|a| ![x, y, z].contains(a));
-        let mut stored = read.view().permuted_axes([z, y, x].into_iter().chain(others).collect::<Vec<_>>());
-        while stored.ndim() > 3 {
-            let last = stored.ndim() - 1;
-            stored = stored.index_axis_move(Axis(last), 0);
-        }
-        if let Some(values) = stored.as_slice() {
-            out.iter_mut().zip(values).for_each(|(o, &v)| *o = take(v));
-            return Ok(());
-        }
-        let wrong = |e: ndarray::ShapeError| Error::format(self.slab.name(), e.to_string(), "");
+        let dataset = &self.held.dataset;
+        let read: ArrayD<T> =
+            dataset.read_slice(Hyperslab::from(along)).map_err(|e| read_error(&self.slab.name(), dataset, &e))?;
         let [nx, ny, nz] = region.size;
-        let mut out = ArrayViewMut3::from_shape((nz, ny, nx), out).map_err(wrong)?;
-        let stored: ArrayView3<T> = stored.into_dimensionality().map_err(wrong)?;
-        // Tiles of z and x, so that each cache line of either side is used whole whichever axis runs fastest.
-        for (z, y, x) in
-            (0..nz).step_by(TILE).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).step_by(TILE).map(move |x| (z, y, x))))
-        {
-            let tile = s![z..nz.min(z + TILE), y, x..nx.min(x + TILE)];
-            ndarray::Zip::from(out.slice_mut(tile)).and(stored.slice(tile)).for_each(|o, &v| *o = take(v));
-        }
+        let out = ArrayViewMut3::from_shape((nz, ny, nx), out)
+            .map_err(|e| Error::format(self.slab.name(), e.to_string(), ""))?;
+        place(read.view(), self.slab.space, out, take);
         Ok(())
+    }
+}
+
+/// Copies `stored`, whose axes `space` run along x, y, z and whose others have one place, to `out` in (z, y, x) order.
+pub(super) fn place<T: Copy, O>(
+    stored: ArrayViewD<T>,
+    space: [usize; 3],
+    mut out: ArrayViewMut3<O>,
+    take: impl Fn(T) -> O,
+) {
+    let [x, y, z] = space;
+    let others = (0..stored.ndim()).filter(|a| !space.contains(a));
+    let order: Vec<usize> = [z, y, x].into_iter().chain(others).collect();
+    let mut stored = stored.permuted_axes(order);
+    while stored.ndim() > 3 {
+        let last = stored.ndim() - 1;
+        stored = stored.index_axis_move(Axis(last), 0);
+    }
+    let stored = stored.into_dimensionality::<Ix3>().expect("three axes are left");
+    if let (Some(out), Some(values)) = (out.as_slice_mut(), stored.as_slice()) {
+        out.iter_mut().zip(values).for_each(|(o, &v)| *o = take(v));
+        return;
+    }
+    if stored.strides()[2] == 1 {
+        ndarray::Zip::from(out.rows_mut()).and(stored.rows()).for_each(|mut out, row| {
+            out.iter_mut().zip(row).for_each(|(o, &v)| *o = take(v));
+        });
+        return;
+    }
+    // Tiles of z and x, so that each cache line of either side is used whole whichever axis runs fastest.
+    let (nz, ny, nx) = out.dim();
+    for (z, y, x) in
+        (0..nz).step_by(TILE).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).step_by(TILE).map(move |x| (z, y, x))))
+    {
+        let tile = s![z..nz.min(z + TILE), y, x..nx.min(x + TILE)];
+        ndarray::Zip::from(out.slice_mut(tile)).and(stored.slice(tile)).for_each(|o, &v| *o = take(v));
     }
 }
 
 impl Field for SlabField {
     fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
-        if self.slab.packing == Packing::default() {
-            return self.read_as(region, out, |v: f32| v);
+        let packing = &self.slab.packing;
+        if *packing == Packing::default() {
+            return self.read_as(region, out, |v: f32| v, |v| v as f32);
         }
-        self.read_as(region, out, |v: f64| self.slab.packing.unpack(v) as f32)
+        self.read_as(region, out, |v: f64| packing.unpack(v) as f32, |v| packing.unpack(v) as f32)
     }
 
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
-        self.read_as(region, out, |v: f64| self.slab.packing.unpack(v))
+        let packing = &self.slab.packing;
+        self.read_as(region, out, |v: f64| packing.unpack(v), |v| packing.unpack(v))
     }
 }
 
@@ -193,16 +244,9 @@ pub(super) fn read_error(name: &str, dataset: &Dataset, e: &hdf5::Error) -> Erro
     let text = e.to_string();
     let absent = dataset.filters().into_iter().find(|f| !f.is_available());
     if let Some(filter) = absent {
-        let known = [
-            (32000, "LZF"),
-            (32001, "Blosc"),
-            (32004, "LZ4"),
-            (32008, "Bitshuffle"),
-            (32013, "ZFP"),
-            (32015, "Zstandard"),
-        ];
-        let called = known.iter().find(|(id, _)| *id == filter.id()).map_or("", |(_, n)| n);
-        let found = format!("compressed by filter {} {called}, which this HDF5 lacks", filter.id());
+        let called = filters::name_of(filter.id());
+        let called = if called.is_empty() { "which is not registered" } else { called };
+        let found = format!("compressed by filter {} ({called}), which is not read", filter.id());
         return Error::format(
             name,
             found,

@@ -28,6 +28,8 @@ pub(crate) struct Tree {
     pub others: Vec<String>,
     /// Links that lead nowhere.
     pub dangling: Vec<String>,
+    /// Datasets that this HDF5 does not open.
+    pub unreadable: Vec<String>,
 }
 
 /// Groups inside groups are followed so far: deeper is a cycle of links.
@@ -62,7 +64,7 @@ fn visit(group: &Group, path: &str, steps: Steps, tree: &mut Tree, depth: usize,
         match group.loc_type_by_name(&name) {
             Ok(LocationType::Dataset) => match group.dataset(&name) {
                 Ok(dataset) => note(&dataset, full, steps, tree),
-                Err(_) => tree.dangling.push(full),
+                Err(_) => tree.unreadable.push(full),
             },
             Ok(LocationType::Group) => groups.push(name),
             Ok(_) => {}

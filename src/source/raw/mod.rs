@@ -95,16 +95,32 @@ pub(crate) fn plan(files: &Files, text: &str, spec: &SourceSpec) -> Result<Plan>
     if let Some(axes) = &spec.axes {
         raw.order = Axes::parse(axes).map_err(|why| Error::format(format!("--axes {axes}"), why, "--axes zyx"))?;
     }
-    let mut warnings = Vec::new();
+    let (mut warnings, mut failed) = (Vec::new(), None);
     let mut steps: Vec<Step> = Vec::new();
     for entry in &files.entries {
-        let count = count(&raw, &entry.path, &mut warnings)?;
+        let next = steps.len() as u64;
+        let count = match count(&raw, &entry.path, &mut warnings) {
+            Ok(count) => count,
+            // One file that was cut short costs its own step, not the others'.
+            Err(Error::Format { path, found, remedy }) if files.entries.len() > 1 => {
+                let values = Values::Broken(path.clone(), found.clone(), remedy.clone());
+                steps.push(Step { step: entry.number.unwrap_or(next), time: None, grid: None, values });
+                failed = failed.or(Some(Error::Format { path, found, remedy }));
+                continue;
+            }
+            Err(why) => return Err(why),
+        };
         for index in 0..count {
             let next = steps.len() as u64;
-            let step = if count == 1 && files.entries.len() > 1 { entry.number.unwrap_or(next) } else { next };
+            let step = if count == 1 { entry.number.unwrap_or(next) } else { next };
             let bytes = Bytes::File(entry.path.clone());
             steps.push(Step { step, time: None, grid: None, values: values(&raw, bytes, index, count, spec)? });
         }
+    }
+    match failed {
+        Some(why) if steps.iter().all(|s| matches!(s.values, Values::Broken(..))) => return Err(why),
+        Some(why) => warnings.push(format!("a step will fail: {why}")),
+        None => {}
     }
     let mut info = describe(&raw, "raw", files, warnings);
     info.why.push("--raw".into());
@@ -154,6 +170,11 @@ fn count(raw: &RawSpec, path: &Path, warnings: &mut Vec<String>) -> Result<usize
     let fit = there.saturating_add(raw.gap) / each;
     let wanted = raw.steps.unwrap_or(fit.max(1) as usize) as u64;
     let needed = each.saturating_mul(wanted).saturating_sub(raw.gap).saturating_add(raw.offset);
+    let believable = wanted <= fit.saturating_add(1 << 16);
+    if needed > length && fit > 0 && believable && raw.steps.is_some() && raw.order.time.is_none_or(|t| t == 0) {
+        warnings.push(format!("{}: {fit} of {wanted} steps are whole; the others will fail", path.display()));
+        return Ok(wanted as usize);
+    }
     if needed > length {
         let found = format!(
             "{wanted} steps of {size} {} after {} bytes need {needed} bytes, but the file has {length}",

@@ -1,0 +1,4 @@
+#![no_main]
+mod file;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| file::read("a.vtk", bytes, None));
