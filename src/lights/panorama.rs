@@ -150,7 +150,7 @@ mod tests {
             for step in 0..32 {
                 let azimuth = (step as f64 + 0.5) * TAU / 32.0;
                 let cell = Cell { z: [z - 1e-4, z + 1e-4], azimuth: [azimuth - 1e-4, azimuth + 1e-4] };
-                let side = (1.0 - z * z as f64).sqrt();
+                let side = (1.0f64 - z * z).sqrt();
                 let middle = DVec3::new(side * azimuth.cos(), side * azimuth.sin(), z);
                 assert_eq!(image.mean(&cell), image.radiance(middle), "{cell:?}");
             }
