@@ -30,6 +30,7 @@ fn main() {
             follow: None,
             resume: false,
             keep: 0,
+            light_state: None,
         };
         let begun = Instant::now();
         let rows = pipeline::run(job, &AtomicBool::new(false), &mut |_| ()).expect("run").rows;

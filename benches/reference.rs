@@ -1,5 +1,8 @@
 //! The picture whose truth is known, cold: data taken in, light solved, 256² pixels cast, and how far from the truth it is.
 //!
+//! Then the same with all orders of scattering: cold, and warm while the plume rises by a quarter of a voxel a step, against a
+//! frame of direct light alone. Their error is tested in tests/reference.rs.
+//!
 //! `cargo bench --bench reference [-- --json]`; `./x bench peers` puts other renderers beside it.
 
 use std::path::Path;
@@ -77,6 +80,52 @@ fn main() -> Result<()> {
             let total = 1e3 * seconds;
             println!("{setting:18} RMSE {rmse:.2e}  {total:6.1} ms: light {light:.1}, rays {render:.1}");
         }
+    }
+    if !json {
+        all_orders(&step)?;
+    }
+    Ok(())
+}
+
+/// Direct light alone, all orders cold, all orders warm: best times of a whole step, in turns.
+fn all_orders(plume: &Timestep) -> Result<()> {
+    let session = |sets: &[&str]| -> Result<Session> {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        Ok(Session::new(Arc::new(Cpu::new(0)?), Scene::parse(SCENE, "the reference scene", &sets)?, None, false)?)
+    };
+    let all = "light.scattering=true";
+    let mut ways = [
+        ("direct light", session(&[])?, f64::INFINITY, 0),
+        ("all orders, cold", session(&[all])?, f64::INFINITY, 0),
+        ("all orders, warm", session(&[all, "light.warm=true"])?, f64::INFINITY, 0),
+    ];
+    let mut values = vec![0.0; plume.grid.len()];
+    plume.field.read(plume.grid.region(), &mut values)?;
+    let layer = 128 * 128;
+    for run in 0..=RUNS {
+        // Up by a quarter of a voxel each time, linear in between.
+        let (whole, part) = (run / 4, (run % 4) as f32 / 4.0);
+        let at = |i: usize, down: usize| if i >= down * layer { values[i - down * layer] } else { 0.0 };
+        let risen = (0..values.len()).map(|i| (1.0 - part) * at(i, whole) + part * at(i, whole + 1)).collect();
+        let step = Timestep { field: Arc::new(Dense::new(plume.grid.size, risen)), ..plume.clone() };
+        for (_, session, best, iterations) in &mut ways {
+            let begun = Instant::now();
+            let output = session.advance(step.clone())?;
+            // The first two have no past to start from.
+            if run > 1 {
+                *best = best.min(begun.elapsed().as_secs_f64());
+                *iterations += output.row.iterations;
+            }
+        }
+    }
+    let direct = ways[0].2;
+    for (name, _, best, iterations) in ways {
+        let iterations = iterations as f64 / (RUNS - 1) as f64;
+        println!(
+            "{name:18} {:6.1} ms, {:.1} frames of direct light, {iterations:.1} iterations",
+            1e3 * best,
+            best / direct
+        );
     }
     Ok(())
 }

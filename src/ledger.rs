@@ -43,6 +43,10 @@ pub struct LedgerRow {
     pub bricks_total: u64,
     /// Bound on the error of the light against a cold solve, relative to the brightest light.
     pub certified_error: f64,
+    /// Tiles of 16² pixels that kept the pixels of the step before, all cameras.
+    pub tiles_reused: u64,
+    /// Tiles in all, all cameras.
+    pub tiles_total: u64,
     /// Cells that were not finite or filled; transparent.
     pub holes: u64,
     /// Reading.

@@ -12,6 +12,7 @@
 //! | [`device`] | kernels: arithmetic on voxels and rays, on the CPU and as WGSL |
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
 //! | [`source`], [`sink`] | file formats in, file formats out |
+//! | [`light_state`] | light kept in a file between runs |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
 //! | [`insitu`] | a running simulation that hands over its steps |
 //! | [`memory`] | what a run takes, and volumes larger than that |
@@ -31,6 +32,7 @@ pub mod grid;
 pub mod insitu;
 pub mod ledger;
 pub mod light;
+pub mod light_state;
 pub mod lights;
 pub mod medium;
 pub mod memory;

@@ -23,6 +23,8 @@ pub struct Medium {
     pub ranges: Vec<[f32; 2]>,
     /// Largest extinction or emission in each brick; 0 where nothing can be seen.
     pub majorant: Vec<f32>,
+    /// The same of the step before.
+    majorant_before: Vec<f32>,
     host: Vec<f32>,
     /// Values of the step before, once anybody asks what changed.
     before: Option<Buffer>,
@@ -44,6 +46,7 @@ impl Medium {
             field: device.alloc(grid.len())?,
             ranges: vec![],
             majorant: vec![],
+            majorant_before: vec![],
             host: Vec::new(),
             before: None,
             follows: false,
@@ -56,7 +59,7 @@ impl Medium {
         })
     }
 
-    /// Keeps the values of the step before from the next step on, so that [`Medium::changed`] can tell: one more volume.
+    /// Keeps the values of the step before from now on, so that [`Medium::changed`] can tell: one more volume.
     pub fn remember(&mut self, device: &dyn Device) -> Result<()> {
         if self.before.is_none() {
             self.before = Some(device.alloc(self.grid.len())?);
@@ -81,6 +84,16 @@ impl Medium {
         self.same_table
     }
 
+    /// For each of [`Medium::bricks`] whether it may look different than in the step before: what changed there, or in a halo of one
+    /// value, can or could be seen. `None` when that is not known, or when everything may.
+    pub fn looks_changed(&self, device: &dyn Device) -> Result<Option<Vec<bool>>> {
+        if !self.same_table || self.majorant_before.len() != self.majorant.len() {
+            return Ok(None);
+        }
+        let seen = self.majorant.iter().zip(&self.majorant_before).map(|(now, before)| *now > 0.0 || *before > 0.0);
+        Ok(self.changed(device)?.map(|changed| changed.iter().zip(seen).map(|(c, s)| *c && s).collect()))
+    }
+
     /// True when every value and the transfer function are those of the step before.
     pub fn still(&self, device: &dyn Device) -> Result<bool> {
         Ok(self.same_table && self.changed(device)?.is_some_and(|c| !c.contains(&true)))
@@ -96,13 +109,15 @@ impl Medium {
             )));
         }
         self.changed.take();
+        // A step that fails half-way leaves neither.
+        let follows = std::mem::take(&mut self.taken);
+        self.follows = false;
         if let Some(before) = &mut self.before {
             std::mem::swap(before, &mut self.field);
-            self.follows = self.taken;
         }
-        self.taken = true;
         let (holes, ranges) = device.take(&self.grid, &step.field, &self.bricks, &mut self.host, &mut self.field)?;
         self.ranges = ranges;
+        (self.follows, self.taken) = (follows && self.before.is_some(), true);
         let (lo, hi) =
             self.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
         Ok((holes, (lo <= hi).then_some([lo, hi])))
@@ -112,6 +127,6 @@ impl Medium {
     pub fn classify(&mut self, table: Table) {
         self.same_table = self.table == table;
         self.table = table;
-        self.majorant = self.table.majorants(&self.ranges);
+        self.majorant_before = std::mem::replace(&mut self.majorant, self.table.majorants(&self.ranges));
     }
 }

@@ -18,7 +18,8 @@ use crate::device::Device;
 use crate::error::{Error, Result, guarded};
 use crate::field::{Dense, Timestep};
 use crate::ledger::{Ledger, LedgerRow};
-use crate::scene::Scene;
+use crate::light_state::LightState;
+use crate::scene::{Model, Scene};
 use crate::session::{Session, cameras};
 use crate::sink::{self, Output, Sink, SinkOptions};
 use crate::source::Series;
@@ -42,6 +43,8 @@ pub struct Job {
     pub outputs: Vec<String>,
     /// Ledger file (`.csv` or `.json`).
     pub ledger: Option<PathBuf>,
+    /// Light to start from where the file is there, and that is left in it at the end, also after an interruption.
+    pub light_state: Option<PathBuf>,
     /// Steps that are still being written, instead of `indices`. Where neither scene nor file gives the range of values, it grows
     /// with the steps.
     pub follow: Option<Following>,
@@ -92,7 +95,7 @@ pub type OnProgress<'a> = dyn FnMut(Progress) + Send + 'a;
 
 /// Runs a job to its end, or until `stop` is set: then the step in hand is finished and everything is closed.
 pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result<Summary> {
-    let Job { series, indices, scene, device, outputs, ledger, follow, resume, keep } = job;
+    let Job { series, indices, scene, device, outputs, ledger, light_state, follow, resume, keep } = job;
     let info = series.info();
     if indices.is_empty() && follow.is_none() {
         return Err(Error::format(
@@ -101,6 +104,12 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
             "gloaming info SERIES lists the steps",
         ));
     }
+    if light_state.is_some() && scene.light.model == Model::Paper {
+        return Err(Error::Unsupported(
+            "keeping the light of light.model = \"paper\" in a file: \"physical\" can".into(),
+        ));
+    }
+    let kept_light = light_state.as_deref().filter(|p| p.exists()).map(LightState::read).transpose()?;
     // A device that pages is one that has no room for whole steps.
     let keep = if device.pages() { 0 } else { keep };
     let count = if follow.is_some() { 0 } else { indices.len() };
@@ -119,8 +128,11 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
         None => range::Pass::default(),
     };
     let wants_light = sinks.iter().any(|s| s.wants_light());
-    let session = Session::new(device, scene, pass.range, wants_light)?;
-    let run = Run { session, sinks, ledger, total: follow.is_none().then_some(left) };
+    let mut session = Session::new(device, scene, pass.range, wants_light)?;
+    if let Some(kept) = kept_light {
+        session.start_from(kept);
+    }
+    let run = Run { session, sinks, ledger, light_state, total: follow.is_none().then_some(left) };
     if let Some(mut follow) = follow {
         let steps = std::iter::from_fn(move || follow.next(stop)).map(move |(step, opened)| match opened {
             _ if done.has(step) => Ok(None),
@@ -182,6 +194,8 @@ struct Run {
     session: Session,
     sinks: Vec<Box<dyn Sink>>,
     ledger: Option<Ledger>,
+    /// Where the light is left at the end.
+    light_state: Option<PathBuf>,
     /// Steps that will come, where known.
     total: Option<usize>,
 }
@@ -194,7 +208,7 @@ impl Run {
         stop: &AtomicBool,
         progress: &mut OnProgress<'_>,
     ) -> Result<Summary> {
-        let Run { mut session, sinks, ledger, total } = self;
+        let Run { mut session, sinks, ledger, light_state, total } = self;
         let (read_tx, read_rx) = bounded(DEPTH);
         let (write_tx, write_rx) = bounded(DEPTH);
         std::thread::scope(|scope| {
@@ -213,6 +227,9 @@ impl Run {
                 (summary.done, summary.skipped, summary.interrupted, summary.lost.first())
             {
                 return Err(Error::Closed(format!("no step could be lit; the first, step {step}: {why}")));
+            }
+            if let (Some(path), true) = (light_state, summary.done > 0) {
+                session.light_state()?.write(&path)?;
             }
             Ok(summary)
         })

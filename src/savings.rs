@@ -12,7 +12,7 @@ use crate::grid::Grid;
 use crate::light::{LightSolver, LightVolume};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
-use crate::scene::Scene;
+use crate::scene::{Model, Scene};
 use crate::source::Series;
 use crate::transfer::TransferFunction;
 
@@ -106,6 +106,8 @@ pub struct Step {
 /// A series, lit both ways.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Savings {
+    /// What was lit how.
+    pub what: String,
     /// Where it was computed.
     pub device: String,
     /// `light.tolerance` of both.
@@ -219,12 +221,36 @@ pub fn measure(
         })
     };
     let (cold, warm) = (sum(|s| &s.cold), sum(|s| &s.warm));
-    Ok(Savings { device: device.name(), tolerance, tight_tolerance, ratio: Ratio::of(&cold, &warm), steps, cold, warm })
+    let what = match (scene.light.model, scene.light.scattering) {
+        (Model::Paper, _) => "the paper's model",
+        (Model::Physical, true) => "the physical model",
+        (Model::Physical, false) => "direct light alone, physical model",
+    };
+    Ok(Savings {
+        what: what.into(),
+        device: device.name(),
+        tolerance,
+        tight_tolerance,
+        ratio: Ratio::of(&cold, &warm),
+        steps,
+        cold,
+        warm,
+    })
 }
 
-/// Writes the report as one HTML file; it appears only when whole.
-pub fn write_html(savings: &Savings, path: &std::path::Path) -> Result<()> {
-    let html = savings.html()?;
+/// The scene with each model, and with direct light alone, which sweeps bricks and iterates nothing.
+pub fn each_model(scene: &Scene) -> Vec<Scene> {
+    let with = |model: Model, scattering: bool| {
+        let mut scene = scene.clone();
+        (scene.light.model, scene.light.scattering) = (model, scattering);
+        scene
+    };
+    vec![with(Model::Physical, true), with(Model::Physical, false), with(Model::Paper, true)]
+}
+
+/// Writes the report as one HTML file, a section for each measurement; it appears only when whole.
+pub fn write_html(all: &[Savings], path: &std::path::Path) -> Result<()> {
+    let html = report::html(all)?;
     crate::sink::write_whole(path, |file| {
         std::io::Write::write_all(file, html.as_bytes()).map_err(|e| Error::io(path, e))
     })

@@ -4,17 +4,19 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::camera::Camera;
-use crate::device::Device;
-use crate::error::Result;
+use crate::device::{Device, March};
+use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::frame::Frame;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
 use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
+use crate::light_state::{About, LightState};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
+use crate::render::reuse::{self, Kept};
 use crate::render::{self, Renderer};
-use crate::scene::{RangeKey, RangeOver, Scene};
+use crate::scene::{RangeKey, RangeOver, RenderKind, Scene};
 use crate::sink::{Output, View};
 use crate::transfer::TransferFunction;
 
@@ -32,6 +34,8 @@ pub struct Session {
     state: Option<State>,
     /// Change of the light below which a step is not rendered, and the light of the last that was.
     news: Option<(f64, Option<Arc<IlluminatedVolume>>)>,
+    /// Light to start from when the first step arrives.
+    kept: Option<LightState>,
 }
 
 /// What is sized by the data's grid, made when the first step arrives.
@@ -39,16 +43,42 @@ struct State {
     medium: Medium,
     solver: LightSolver,
     light: LightVolume,
+    /// Each camera's picture of the step before, where the next may keep some of it.
+    kept: Vec<Kept>,
 }
 
 impl State {
     fn new(device: &dyn Device, scene: &Scene, transfer: &TransferFunction, grid: Grid) -> Result<Self> {
         let table = transfer.table([0.0, 1.0], grid.mean_spacing());
         let mut medium = Medium::new(device, grid, table)?;
-        if scene.light.warm {
+        // Volumes that are read slab after slab would be read twice.
+        if scene.light.warm && !device.pages() {
             medium.remember(device)?;
         }
-        Ok(State { medium, solver: LightSolver::new(device, scene, &grid)?, light: LightVolume::default() })
+        Ok(State {
+            medium,
+            solver: LightSolver::new(device, scene, &grid)?,
+            light: LightVolume::default(),
+            kept: vec![],
+        })
+    }
+}
+
+impl State {
+    /// Starts from light that was kept; says why when it cannot.
+    fn start_from(
+        &mut self,
+        device: &dyn Device,
+        scene: &Scene,
+        lights: &[Light],
+        kept: &mut LightState,
+    ) -> Result<Option<String>> {
+        if let Some(why) = kept.about.differs(scene, &self.medium.grid) {
+            return Ok(Some(why));
+        }
+        let solver = kept.solver.clone();
+        let fits = self.solver.restore(device, &solver, |name| kept.take(name), lights, &mut self.light)?;
+        Ok((!fits).then(|| "its volumes are not those that these settings need".into()))
     }
 }
 
@@ -71,6 +101,7 @@ impl Session {
             seen: None,
             state: None,
             news: None,
+            kept: None,
             device,
             scene,
             range,
@@ -115,20 +146,63 @@ impl Session {
         self.steps += 1;
     }
 
+    /// What a later session may start from; see [`Session::start_from`].
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] before the first step, and for the paper's model.
+    pub fn light_state(&self) -> Result<LightState> {
+        let none = || Error::Unsupported("keeping light before a step is lit, or with light.model = \"paper\"".into());
+        let state = self.state.as_ref().ok_or_else(none)?;
+        let mut volumes = Vec::new();
+        let solver = state.solver.keep(&*self.device, &state.light, &mut volumes)?.ok_or_else(none)?;
+        let about = About {
+            grid: state.medium.grid,
+            light: self.scene.light.clone(),
+            lights: self.scene.lights.clone(),
+            anisotropy: self.scene.transfer.anisotropy,
+            steps: self.steps,
+            seen: self.seen,
+        };
+        Ok(LightState { about, solver, volumes })
+    }
+
+    /// Goes on where the session that `kept` is of ended: its next step is warm, cameras that orbit go on, and a range that
+    /// grows with the steps too. Before the first step only; where grid or settings differ that step is cold, and says why.
+    pub fn start_from(&mut self, kept: LightState) {
+        self.kept = Some(kept);
+    }
+
     /// Lights and renders one step.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
         let device = &*self.device;
         let state = match &mut self.state {
             Some(state) => state,
-            none => none.insert(State::new(device, &self.scene, &self.transfer, step.grid)?),
+            none => {
+                let mut state = State::new(device, &self.scene, &self.transfer, step.grid)?;
+                if let Some(mut kept) = self.kept.take() {
+                    match state.start_from(device, &self.scene, &self.lights, &mut kept)? {
+                        None => {
+                            // A run that is taken up again has counted the steps that it passed over.
+                            (self.steps, self.seen) = (self.steps.max(kept.about.steps), kept.about.seen);
+                        }
+                        Some(why) => tracing::warn!("the light that was kept is not used, the start is cold: {why}"),
+                    }
+                }
+                none.insert(state)
+            }
         };
 
+        // Gone with a step that fails: then nobody knows what changed since.
+        let mut kept = std::mem::take(&mut state.kept).into_iter();
         let mut clock = Clock::start();
         let (holes, seen) = state.medium.take(device, &step)?;
         let range = self.range.unwrap_or_else(|| running(self.scene.field.range, &mut self.seen, seen));
         state.medium.classify(self.transfer.table(range, step.grid.mean_spacing()));
         let classify_ms = clock.lap();
 
+        // Surfaces are lit also where their medium is transparent.
+        let only_visible = !self.wants_light && self.news.is_none() && self.scene.render.kind == RenderKind::Raycast;
+        state.solver.only_visible(only_visible);
         let solved = state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?;
         let light_ms = clock.lap();
 
@@ -139,11 +213,35 @@ impl Session {
         let shown = is_news(&mut self.news, light.as_ref());
         let light_ms = light_ms + clock.lap();
 
+        let changed = if self.scene.light.warm { reuse::changed(device, &state.medium, &state.light)? } else { None };
         let mut frames = Vec::with_capacity(self.scene.cameras.len());
+        let (mut tiles_reused, mut tiles_total) = (0, 0);
         let size = self.scene.render.size;
         for keys in cameras(&self.scene).into_iter().take(if shown { usize::MAX } else { 0 }) {
             let camera = Camera::framed(&keys, &step.grid, size[0] as f64 / size[1] as f64, self.steps)?;
-            let frame = self.renderer.render(device, &state.medium, &state.light, &camera, size)?;
+            let all = March::tiles(size).iter().product::<usize>();
+            tiles_total += all as u64;
+            // What changed since the picture is known, and the camera is where it was.
+            let before = kept.next().zip(changed.as_ref()).filter(|(kept, _)| kept.camera == camera);
+            let again = before.and_then(|(kept, changed)| {
+                Some((kept.frame, reuse::tiles(&state.medium, changed, &camera, size)?)).filter(|(_, t)| t.len() < all)
+            });
+            let (medium, light) = (&state.medium, &state.light);
+            let mut frame = None;
+            if let Some((mut picture, tiles)) = again
+                && self.renderer.render_tiles(device, medium, light, &camera, &tiles, &mut picture)?
+            {
+                tiles_reused += (all - tiles.len()) as u64;
+                frame = Some(picture);
+            }
+            let frame = match frame {
+                Some(frame) => frame,
+                None => self.renderer.render(device, medium, light, &camera, size)?,
+            };
+            // Light that changes everywhere in this step will in the next, most likely: then a copy is not worth its time.
+            if changed.is_some() {
+                state.kept.push(Kept { camera, frame: frame.clone() });
+            }
             frames.push(view(&keys.name, keys.fov as f32, &camera, frame));
         }
         let render_ms = clock.lap();
@@ -161,6 +259,8 @@ impl Session {
             bricks_active: solved.bricks_active,
             bricks_total: solved.bricks_total,
             certified_error: solved.certified_error,
+            tiles_reused,
+            tiles_total,
             holes,
             classify_ms,
             light_ms,

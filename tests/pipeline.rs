@@ -34,6 +34,7 @@ fn job(series: Box<dyn Series>, indices: Vec<usize>, scene: Scene, out: &Path) -
         follow: None,
         resume: false,
         keep: 1 << 20,
+        light_state: None,
     }
 }
 

@@ -130,9 +130,11 @@ fn the_report_needs_no_other_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     let found = measure(&Made::ball(3, 0.3), &[]);
-    savings::write_html(&found, &path).unwrap();
+    let direct = measure(&Made::ball(3, 0.3), &["light.scattering=false"]);
+    savings::write_html(&[found.clone(), direct], &path).unwrap();
     let html = std::fs::read_to_string(&path).unwrap();
-    assert_eq!(html.matches("<svg").count(), 5, "one plot each");
+    assert_eq!(html.matches("<svg").count(), 10, "one plot each");
+    assert!(html.contains("<h2>The physical model") && html.contains("<h2>Direct light alone"), "sections have names");
     assert!(!html.contains("src=") && !html.contains("href="), "refers to another file");
     assert!(html.contains(&format!("{:.6}", found.warm.sweeps)), "the figures stand in the table");
     let json: serde_json::Value = serde_json::from_str(&serde_json::to_string(&found).unwrap()).unwrap();

@@ -1,9 +1,16 @@
 //! Warm starts (validation.md 17): bitwise the cold result at tolerance 0, within the certified bound otherwise.
 
+use std::sync::Arc;
+
 use glam::{DVec3, Vec3};
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device};
-use gloaming::light::{Direct, Rays};
+use gloaming::field::{Dense, Timestep};
+use gloaming::light::{Direct, LightSolver, LightVolume, Rays};
+use gloaming::lights;
+use gloaming::medium::Medium;
+use gloaming::scene::Scene;
+use gloaming::transfer::TransferFunction;
 use gloaming::{BrickLayout, Grid};
 
 /// Extinction of blobs that drift, with structure in some bricks only.
@@ -154,5 +161,65 @@ fn the_certificate_holds_over_a_long_drift() {
         let share = swept.map(|(active, total)| active as f64 / total as f64);
         // Bounds of the depth along rays that fan out are wider.
         assert!(share[0] < 0.5 && share[1] < 0.8, "tolerance {tolerance}: swept {swept:?}");
+    }
+}
+
+/// All light over 110 drifting steps (validation.md 17): the transfer function's range jumps, a light turns, grows and goes out,
+/// blocks of NaN come and go, steps repeat. Each step's fluence is held against a tight solve from nothing.
+#[test]
+fn certified_errors_bound_true_errors_of_all_light() {
+    let cpu = Cpu::new(2).unwrap();
+    let grid = Grid { size: [22, 20, 24], spacing: [1.0, 1.1, 0.9], origin: [0.0; 3] };
+    for sets in [
+        &["light.tolerance=1e-2"][..],
+        &["light.tolerance=1e-3", "transfer.anisotropy=0.5"],
+        &["light.tolerance=1e-2", "light.scattering=false"],
+    ] {
+        let common = ["transfer.albedo=0.9", "transfer.colormap=white", "light.directions=8"];
+        let scene = |more: &[&str]| {
+            let sets: Vec<String> = common.iter().chain(sets).chain(more).map(|s| s.to_string()).collect();
+            Scene::load(None, &sets).unwrap()
+        };
+        let (kept, tight) = (scene(&[]), scene(&["light.tolerance=1e-6", "light.warm=false"]));
+        let transfer = TransferFunction::new(&kept.transfer).unwrap();
+        let mut medium_now = Medium::new(&cpu, grid, transfer.table([0.0, 1.0], 1.0)).unwrap();
+        medium_now.remember(&cpu).unwrap();
+        let mut warm = (LightSolver::new(&cpu, &kept, &grid).unwrap(), LightVolume::default());
+        let mut cold = (LightSolver::new(&cpu, &tight, &grid).unwrap(), LightVolume::default());
+        let (mut warm_steps, mut worst) = (0, 0.0f64);
+        for step in 0..110usize {
+            // Every tenth step is the one before once more.
+            let t = if step % 10 == 9 { step - 1 } else { step };
+            let mut values = medium(&grid, 0.05 * t as f32);
+            if t % 25 == 20 {
+                let at = grid.len() / 3;
+                values[at..at + 300].fill(f32::NAN);
+            }
+            let range = if (40..60).contains(&t) { [0.0, 0.4] } else { [0.0, 0.6] };
+            let direction = if t < 70 { Vec3::new(0.3, 0.5, -0.8) } else { Vec3::new(-0.6, 0.2, -0.5) };
+            let irradiance = if t < 85 { [1.0; 3] } else { [2.5; 3] };
+            let mut lights = vec![lights::Light::Distant { direction: direction.normalize(), irradiance }];
+            if t < 95 {
+                lights.push(lights::Light::Distant { direction: Vec3::Y, irradiance: [0.4; 3] });
+            }
+            let field = Arc::new(Dense::new(grid.size, values));
+            medium_now.take(&cpu, &Timestep { step: step as u64, time: None, grid, field }).unwrap();
+            medium_now.classify(transfer.table(range, 1.0));
+            let report = warm.0.solve(&cpu, &medium_now, &lights, &mut warm.1).unwrap();
+            cold.0.solve(&cpu, &medium_now, &lights, &mut cold.1).unwrap();
+            let got = warm.0.illuminated(&cpu, &warm.1).unwrap().fluence;
+            let want = cold.0.illuminated(&cpu, &cold.1).unwrap().fluence;
+            let largest = want.iter().flatten().fold(0.0f32, |m, v| m.max(*v));
+            let off = got.iter().flatten().zip(want.iter().flatten()).map(|(g, w)| (g - w).abs()).fold(0.0, f32::max);
+            let error = f64::from(off / largest);
+            assert!(got.iter().flatten().all(|v| v.is_finite()), "step {step}");
+            // The tight solve's own error, and rounding.
+            assert!(error <= report.certified_error + 3e-6, "{sets:?}, step {step}: {error}, {report:?}");
+            assert!(report.certified_error <= f64::from(kept.light.tolerance), "{sets:?}, step {step}: {report:?}");
+            warm_steps += usize::from(report.warm);
+            worst = worst.max(error);
+        }
+        assert_eq!(warm_steps, 109);
+        println!("{sets:?}: largest true error {worst:.1e}");
     }
 }

@@ -64,7 +64,7 @@ fn measured(out: &Path, bar: &ProgressBar) -> anyhow::Result<String> {
     };
     let found = savings::measure(&Cpu::new(0)?, &*series, &indices, &scene, range, &mut |_| bar.inc(1))?;
     bar.finish_and_clear();
-    savings::write_html(&found, &out.join("savings.html"))?;
+    savings::write_html(std::slice::from_ref(&found), &out.join("savings.html"))?;
     Ok(format!(
         "  the last {} steps lit both ways, cold / warm: time {:.2}, voxel updates {:.2}, iterations {:.2}\n",
         found.steps.len(),

@@ -112,6 +112,9 @@ fn figures(row: &LedgerRow) -> String {
     if row.iterations > 0 {
         said += &format!(", {} iterations", row.iterations);
     }
+    if row.tiles_reused > 0 {
+        said += &format!(", {}/{} tiles kept", row.tiles_reused, row.tiles_total);
+    }
     said +=
         &format!(", error ≤ {:.1e}, light {:.0} ms, render {:.0} ms", row.certified_error, row.light_ms, row.render_ms);
     said

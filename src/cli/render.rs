@@ -92,6 +92,10 @@ pub struct RenderArgs {
     /// Skip steps that an earlier run has done
     #[arg(long)]
     resume: bool,
+    /// Keep the light in FILE (HDF5) at the end, and start from it where it is there: a run that goes on where another ended
+    /// starts warm. Light of another grid or other settings is not used, and replaced
+    #[arg(long, value_name = "FILE")]
+    light_state: Option<PathBuf>,
     /// Override a key of the scene, such as light.directions=8 or lights.0.intensity=5; may repeat
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
@@ -147,7 +151,19 @@ const KEEP: u64 = 256 << 20;
 pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result<Done> {
     let scene = args.scene()?;
     let stop = stop_on_interrupt()?;
-    let RenderArgs { series, out, steps, device, memory: budget, ledger, follow, idle_timeout, resume, .. } = args;
+    let RenderArgs {
+        series,
+        out,
+        steps,
+        device,
+        memory: budget,
+        ledger,
+        light_state,
+        follow,
+        idle_timeout,
+        resume,
+        ..
+    } = args;
     let spec = spec(series, &scene);
     let (series, follow) = if follow {
         let patience = Patience { idle: idle_timeout, ..Default::default() };
@@ -182,7 +198,7 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
     let count = total.map_or("growing".into(), |n| format!("{n} steps"));
     tracing::info!("{}, {count} of `{}` on {}", info.layout, info.field, device.name());
 
-    let job = Job { series, indices, scene, device, outputs: out.clone(), ledger, follow, resume, keep };
+    let job = Job { series, indices, scene, device, outputs: out.clone(), ledger, light_state, follow, resume, keep };
     let report = Report::new(total, quiet, &bars);
     let summary = pipeline::run(job, &stop, &mut |step| report.step(&step));
     let took = report.finish();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use clap::Args;
-use gloaming::savings::Ratio;
+use gloaming::savings::{Ratio, Savings};
 use gloaming::scene::{RangeKey, Scene};
 use gloaming::{pipeline, savings, source};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
@@ -38,10 +38,13 @@ pub struct SavingsArgs {
     /// Where to compute: auto, cpu, gpu, or part of an adapter's name
     #[arg(long, default_value = "auto", value_name = "auto|cpu|gpu|NAME")]
     device: String,
+    /// Measure each light model, and direct light alone, instead of what the scene says
+    #[arg(long)]
+    each: bool,
     /// A report with plots, one HTML file
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// JSON for programs
+    /// JSON for programs; with --each a list
     #[arg(long)]
     json: bool,
     /// Override a key of the scene; may repeat
@@ -67,29 +70,39 @@ pub fn run(args: SavingsArgs, quiet: bool, bars: &MultiProgress) -> anyhow::Resu
             pipeline::series_range(&*series, &indices, &over_series, &AtomicBool::new(false))?.unwrap_or([0.0, 1.0])
         }
     };
-    let bar = if quiet { ProgressBar::hidden() } else { bars.add(ProgressBar::new(indices.len() as u64)) };
+    let scenes = if args.each { savings::each_model(&scene) } else { vec![scene] };
+    let total = indices.len() * scenes.len();
+    let bar = if quiet { ProgressBar::hidden() } else { bars.add(ProgressBar::new(total as u64)) };
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} steps, ETA {eta} {msg}")?);
-    let found = savings::measure(&*device, &*series, &indices, &scene, range, &mut |step| {
-        bar.inc(1);
-        bar.set_message(format!("step {}: cold/warm time {:.2}", step.step, step.ratio.seconds));
-    })?;
+    let measure = |scene: &Scene| {
+        savings::measure(&*device, &*series, &indices, scene, range, &mut |step| {
+            bar.inc(1);
+            bar.set_message(format!("step {}: cold/warm time {:.2}", step.step, step.ratio.seconds));
+        })
+    };
+    let found: Vec<Savings> = scenes.iter().map(measure).collect::<gloaming::Result<_>>()?;
     bar.finish_and_clear();
     if let Some(path) = &args.out {
         savings::write_html(&found, path)?;
     }
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&found)?);
-    } else {
-        let Ratio { seconds, voxel_updates, iterations, bricks_active, .. } = found.ratio;
-        println!(
-            "{} steps, cold / warm: time {seconds:.2}, voxel updates {voxel_updates:.2}, iterations {iterations:.2}, bricks \
-             swept {bricks_active:.2}",
-            found.steps.len()
-        );
-        println!(
-            "errors of the warm light: certified {:.1e}, true {:.1e} (tolerance {:e})",
-            found.warm.certified_error, found.warm.true_error, found.tolerance
-        );
+    match (&found[..], args.json) {
+        ([one], true) if !args.each => println!("{}", serde_json::to_string_pretty(one)?),
+        (all, true) => println!("{}", serde_json::to_string_pretty(all)?),
+        (all, false) => all.iter().for_each(say),
     }
     Ok(Done::Whole)
+}
+
+fn say(found: &Savings) {
+    let Ratio { seconds, voxel_updates, iterations, bricks_active, .. } = found.ratio;
+    println!(
+        "{}, {} steps, cold / warm: time {seconds:.2}, voxel updates {voxel_updates:.2}, iterations {iterations:.2}, bricks swept \
+         {bricks_active:.2}",
+        found.what,
+        found.steps.len()
+    );
+    println!(
+        "errors of the warm light: certified {:.1e}, true {:.1e} (tolerance {:e})",
+        found.warm.certified_error, found.warm.true_error, found.tolerance
+    );
 }

@@ -493,6 +493,15 @@ impl March<'_> {
     /// Transmittance below which a ray ends: what lies behind can add at most this fraction of its radiance, less than
     /// a twentieth of a level of an 8-bit picture.
     pub const OPAQUE: f32 = 1e-4;
+
+    /// Pixels along the edge of a tile. Tiles are numbered row by row from the upper left; those at the right and lower
+    /// edges of a picture may be cut.
+    pub const TILE: usize = 16;
+
+    /// Tiles along x and y of a picture.
+    pub fn tiles(picture: [usize; 2]) -> [usize; 2] {
+        picture.map(|n| n.div_ceil(Self::TILE))
+    }
 }
 
 /// A ray on its way, between two slabs.
@@ -778,4 +787,20 @@ pub trait Device: Send + Sync {
     /// Carries the rays of a picture through a slab: see [`Part`]. Rays that come by later than the slabs that they meet
     /// first are as in [`Device::march`], to the bit.
     fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()>;
+
+    /// Casts the rays of some tiles only ([`March::TILE`]); the other pixels of `frame` stay as they are. Each pixel is that
+    /// of [`Device::march`] to the bit.
+    fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
+        let mut whole = Frame::new(frame.size);
+        self.march(march, &mut whole)?;
+        let [across, _] = March::tiles(frame.size);
+        for &tile in tiles {
+            let [x, y] = [tile as usize % across, tile as usize / across].map(|t| t * March::TILE);
+            for y in y..(y + March::TILE).min(frame.size[1]) {
+                let row = y * frame.size[0] + x..y * frame.size[0] + (x + March::TILE).min(frame.size[0]);
+                frame.pixels[row.clone()].copy_from_slice(&whole.pixels[row]);
+            }
+        }
+        Ok(())
+    }
 }

@@ -109,6 +109,9 @@ impl Rays {
     }
 }
 
+/// Share of the bricks above which sweeping the needed ones costs more than the whole grid.
+const FEW: f64 = 0.5;
+
 /// Direct light of one light: transmittance from the light to every voxel of a grid.
 pub struct Direct {
     /// Transmittance ρ, 0..1, (z, y, x).
@@ -122,6 +125,10 @@ pub struct Direct {
     bricks: Vec<Brick>,
     /// Largest change of a brick's downstream faces in this step.
     moved: Vec<f32>,
+    /// Bricks that the latest solve swept.
+    touched: Vec<bool>,
+    /// Bricks that somebody can see, and those upstream of them.
+    needed: Vec<bool>,
     solved: bool,
 }
 
@@ -143,6 +150,8 @@ pub struct DirectReport {
     pub bricks_active: u64,
     /// Bricks in all.
     pub bricks_total: u64,
+    /// Bricks that would have been swept if anybody could see their light.
+    pub bricks_culled: u64,
     /// Voxels that were swept.
     pub voxels: u64,
     /// Bound on the error of ρ against a cold solve.
@@ -167,6 +176,8 @@ impl Direct {
             beside: rays.beside(layout),
             bricks: vec![Brick::default(); layout.len()],
             moved: vec![0.0; layout.len()],
+            touched: vec![true; layout.len()],
+            needed: vec![true; layout.len()],
             solved: false,
         }
     }
@@ -190,12 +201,24 @@ impl Direct {
         // Until every front is done the state is neither the old nor the new solution.
         self.solved = false;
         let Some(change) = change else {
-            let fronts: Vec<&[u32]> = self.fronts.iter().map(|f| &f[..]).collect();
+            let needed = self.needed.iter().filter(|n| **n).count();
+            let whole = self.rays.cubic() || needed as f64 > FEW * layout.len() as f64;
+            let wanted = |b: &u32| whole || self.needed[*b as usize];
+            let fronts: Vec<Vec<u32>> =
+                self.fronts.iter().map(|f| f.iter().copied().filter(wanted).collect()).collect();
+            let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).filter(|f| !f.is_empty()).collect();
             self.rays.sweep(device, layout, sigma, &mut self.rho, &fronts)?;
-            self.bricks.fill(Brick::default());
+            for (b, brick) in self.bricks.iter_mut().enumerate() {
+                let swept = whole || self.needed[b];
+                // What was left out holds nothing that could be kept.
+                *brick = Brick { depth: if swept { 0.0 } else { f32::INFINITY }, ..Brick::default() };
+                self.touched[b] = swept;
+                report.voxels += if swept { layout.region(b).len() as u64 } else { 0 };
+            }
             self.solved = true;
-            report.bricks_active = layout.len() as u64;
-            report.voxels = grid.len() as u64;
+            report.bricks_active = if whole { layout.len() } else { needed } as u64;
+            report.bricks_culled = layout.len() as u64 - report.bricks_active;
+            debug_assert!(!whole || report.voxels == grid.len() as u64);
             return Ok(report);
         };
 
@@ -203,6 +226,7 @@ impl Direct {
         let beside = self.beside.0.iter().map(|&b| change[b as usize].into_iter().fold(f32::INFINITY, f32::min));
         let beside = self.beside.1 * beside.fold(0.0, f32::max);
         self.moved.fill(0.0);
+        self.touched.fill(false);
         let deepest = self.fronts.len() as f32;
         for (depth, front) in self.fronts.iter().enumerate() {
             let share = tolerance * (depth + 1) as f32 / deepest;
@@ -223,8 +247,13 @@ impl Direct {
                     brick.error = upstream;
                     continue;
                 }
-                let error = upstream + brick.inflow + brick.depth.min(1.0) + ROUNDING;
-                if error <= share {
+                let depth = if brick.depth < f32::INFINITY { brick.depth.min(1.0) } else { brick.depth };
+                let error = upstream + brick.inflow + depth + ROUNDING;
+                if !self.needed[b as usize] {
+                    // Drift goes on adding up, until the brick is needed.
+                    brick.error = error;
+                    report.bricks_culled += 1;
+                } else if error <= share {
                     brick.error = error;
                 } else {
                     let rounding = if upstream > 0.0 { ROUNDING } else { 0.0 };
@@ -238,12 +267,14 @@ impl Direct {
             let changes = self.rays.sweep(device, layout, sigma, &mut self.rho, &[&active])?;
             report.bricks_active += active.len() as u64;
             for (&b, change) in active.iter().zip(changes) {
+                self.touched[b as usize] = true;
                 report.voxels += layout.region(b as usize).len() as u64;
                 self.moved[b as usize] = change;
             }
         }
         self.solved = true;
-        report.certified_error = self.bricks.iter().fold(0.0, |m, b| m.max(b.error));
+        let needed = self.bricks.iter().zip(&self.needed).filter(|(_, needed)| **needed);
+        report.certified_error = needed.fold(0.0, |m, (b, _)| m.max(b.error));
         Ok(report)
     }
 
@@ -255,6 +286,41 @@ impl Direct {
     /// True when there is a kept solution.
     pub fn is_solved(&self) -> bool {
         self.solved
+    }
+
+    /// Solves from now on only for the bricks that are marked as seen and for those that their light comes through; `None`: for
+    /// all.
+    pub fn demand(&mut self, seen: Option<&[bool]>) {
+        let Some(seen) = seen else { return self.needed.fill(true) };
+        self.needed.copy_from_slice(seen);
+        for &b in self.fronts.iter().rev().flatten() {
+            if self.needed[b as usize] {
+                self.upstream[b as usize].iter().for_each(|n| self.needed[*n as usize] = true);
+            }
+        }
+    }
+
+    /// What each brick knows of its own error, for [`Direct::restore`].
+    pub(super) fn drift(&self) -> Vec<f32> {
+        self.bricks.iter().flat_map(|b| [b.depth, b.inflow, b.error]).collect()
+    }
+
+    /// Takes up a solution of this light that was kept: ρ and the drift of each brick. False when they are of another size.
+    pub(super) fn restore(&mut self, device: &dyn Device, rho: &[f32], drift: &[f32]) -> Result<bool> {
+        if rho.len() != self.rho.len() || drift.len() != 3 * self.bricks.len() {
+            return Ok(false);
+        }
+        device.upload(rho, &mut self.rho)?;
+        for (brick, known) in self.bricks.iter_mut().zip(drift.chunks_exact(3)) {
+            *brick = Brick { depth: known[0], inflow: known[1], error: known[2], ..Brick::default() };
+        }
+        self.solved = true;
+        Ok(true)
+    }
+
+    /// For each brick whether the latest solve swept it; the others hold what they held.
+    pub fn touched(&self) -> &[bool] {
+        &self.touched
     }
 
     /// Forgets the kept solution: the next solve is cold.

@@ -2,10 +2,14 @@
 //!
 //! A *solver* holds what a solve needs (extinction now and before, scratch); the [`LightVolume`] holds the unknowns that
 //! survive steps. Each solve starts from what the volume holds. Each model has a file of its own.
+//!
+//! Memory of the physical model, in f32: 2 values and one more for each distant light a voxel of the grid of direct light, and
+//! [`ordinates::Scattered::volumes`] and one more for each light a voxel of the grid of scattered light: 25 where one channel
+//! stands for all and scattering is isotropic. All of it is taken in the first steps and used again.
 
 use crate::device::{Device, Term};
 use crate::error::{Error, Result};
-use crate::grid::Grid;
+use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
 use crate::medium::Medium;
 use crate::scene::{Model, Scene, SolverKeys};
@@ -52,10 +56,21 @@ pub struct SolveReport {
     pub bricks_active: u64,
     /// Bricks of direct light in all, all lights.
     pub bricks_total: u64,
+    /// Bricks of direct light that were left out because nobody can see them ([`LightSolver::only_visible`]), all lights.
+    pub bricks_culled: u64,
     /// Bound on the error of the fluence against a cold solve, relative to the unattenuated light.
     pub certified_error: f64,
     /// False when scattered light, or an iteration of the paper's model, stopped at its limit.
     pub converged: bool,
+}
+
+/// Where the light of [`LightVolume::terms`] differs from that of the solve before.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Touched<'a> {
+    /// Possibly everywhere.
+    Everywhere,
+    /// At most in the bricks that are marked; their grid fills the same box as the data's.
+    Bricks(BrickLayout, &'a [bool]),
 }
 
 /// Solves the light of one step after another.
@@ -105,6 +120,49 @@ impl LightSolver {
         }
     }
 
+    /// Leaves out direct light that no picture can show, where nothing scatters it on: that of bricks without visible medium from
+    /// which it reaches none. [`LightSolver::illuminated`] holds old or no light there.
+    pub fn only_visible(&mut self, only: bool) {
+        if let Solver::Physical(solver) = &mut self.0 {
+            solver.only_visible(only);
+        }
+    }
+
+    /// What a later run may start from, put into `volumes` by name, and what it says of them. `None` before the first solve, and for
+    /// the paper's model, which keeps nothing.
+    pub fn keep(
+        &self,
+        device: &dyn Device,
+        volume: &LightVolume,
+        volumes: &mut Vec<(String, Vec<f32>)>,
+    ) -> Result<Option<serde_json::Value>> {
+        match &self.0 {
+            Solver::Physical(solver) => solver.keep(device, &volume.physical, volumes),
+            Solver::Paper(_) => Ok(None),
+        }
+    }
+
+    /// Takes up what [`LightSolver::keep`] gave for the same settings and lights, so that the next solve is warm. False when it
+    /// does not fit: the next solve is cold.
+    pub fn restore(
+        &mut self,
+        device: &dyn Device,
+        kept: &serde_json::Value,
+        take: impl FnMut(&str) -> Option<Vec<f32>>,
+        lights: &[Light],
+        volume: &mut LightVolume,
+    ) -> Result<bool> {
+        *volume = LightVolume::default();
+        let Solver::Physical(solver) = &mut self.0 else { return Ok(false) };
+        let fits = solver.restore(device, kept, take, lights, &mut volume.physical)?;
+        if fits {
+            volume.lights = lights.to_vec();
+        } else {
+            *volume = LightVolume::default();
+        }
+        Ok(fits)
+    }
+
     /// The fluence of the latest solve on the light grid, `light.resolution`.
     pub fn illuminated(&self, device: &dyn Device, volume: &LightVolume) -> Result<IlluminatedVolume> {
         match &self.0 {
@@ -120,6 +178,11 @@ impl LightVolume {
         let mut terms = self.physical.terms();
         terms.extend(self.paper.terms());
         terms
+    }
+
+    /// Where the latest solve left the light as it was before.
+    pub fn touched(&self) -> Touched<'_> {
+        self.physical.touched()
     }
 
     /// The lights of the latest solve.

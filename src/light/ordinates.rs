@@ -27,6 +27,7 @@
 //! of the box empty around it (both against Monte Carlo). Emission where there is no extinction at all is not carried.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use crate::device::{Buffer, Device, Ordinate, Term, Travel, Weight};
 use crate::error::Result;
@@ -69,7 +70,7 @@ pub struct ScatterProblem<'a> {
 }
 
 /// What a solve started from.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Start {
     /// No scattered light.
     #[default]
@@ -127,6 +128,17 @@ struct Channel {
     /// The guess that won in the latest step and its residual relative to the largest fluence.
     won: Option<(Start, f64)>,
 }
+
+/// What is known of a channel whose volumes are kept.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct KeptChannel {
+    known: usize,
+    won: Option<(Start, f64)>,
+    majorant: bool,
+}
+
+/// Names of a channel's volumes.
+const STATES: [&str; 3] = ["solution", "before", "majorant"];
 
 /// A bound R ↦ gain·R on the error of Φ(x).
 #[derive(Debug, Clone, Copy)]
@@ -333,6 +345,53 @@ impl Scattered {
             start,
             ..Default::default()
         })
+    }
+
+    /// What a later solve may start from: what is known of each channel, and its volumes, for a file.
+    pub(super) fn keep(&self, device: &dyn Device, volumes: &mut Vec<(String, Vec<f32>)>) -> Result<Vec<KeptChannel>> {
+        let mut kept = Vec::new();
+        for (c, channel) in self.channels.iter().enumerate() {
+            let states = [Some(&channel.solution), Some(&channel.before), channel.majorant.as_ref()];
+            for (name, state) in STATES.iter().zip(states) {
+                for (part, buffer) in state.into_iter().flat_map(State::parts).enumerate() {
+                    let mut values = vec![0.0; buffer.len()];
+                    device.download(buffer, &mut values)?;
+                    volumes.push((format!("scattered_{c}_{name}_{part}"), values));
+                }
+            }
+            let majorant = channel.majorant.is_some();
+            kept.push(KeptChannel { known: channel.known, won: channel.won, majorant });
+        }
+        Ok(kept)
+    }
+
+    /// Takes up what [`Scattered::keep`] gave. False when it is of other channels or sizes; then the next solve is cold.
+    pub(super) fn restore(
+        &mut self,
+        device: &dyn Device,
+        kept: &[KeptChannel],
+        mut take: impl FnMut(&str) -> Option<Vec<f32>>,
+    ) -> Result<bool> {
+        if kept.len() != self.channels.len() {
+            return Ok(false);
+        }
+        let linear = self.anisotropy != 0.0;
+        for (c, (channel, kept)) in self.channels.iter_mut().zip(kept).enumerate() {
+            if kept.majorant {
+                channel.majorant = Some(State::new(device, self.grid.len(), linear)?);
+            }
+            let states = [Some(&mut channel.solution), Some(&mut channel.before), channel.majorant.as_mut()];
+            for (name, state) in STATES.iter().zip(states) {
+                for (part, buffer) in state.into_iter().flat_map(State::parts_mut).enumerate() {
+                    match take(&format!("scattered_{c}_{name}_{part}")) {
+                        Some(values) if values.len() == buffer.len() => device.upload(&values, buffer)?,
+                        _ => return Ok(false),
+                    }
+                }
+            }
+            (channel.known, channel.won) = (kept.known.min(2), kept.won);
+        }
+        Ok(true)
     }
 
     /// Fluence of scattered light with its share in each colour channel, for [`Device::compose`].

@@ -2,9 +2,11 @@
 
 use std::f64::consts::PI;
 
+use serde::{Deserialize, Serialize};
+
 use super::direct::{Direct, Rays};
-use super::ordinates::{ScatterProblem, Scattered, cells};
-use super::{IlluminatedVolume, SolveReport};
+use super::ordinates::{KeptChannel, ScatterProblem, Scattered, cells};
+use super::{IlluminatedVolume, SolveReport, Touched};
 use crate::device::{Buffer, Cone, Device, Lamp, Optic, Term, Travel, Weight};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
@@ -20,21 +22,22 @@ pub(super) struct Unknowns {
     scattered: Option<Scattered>,
     grid: Option<Grid>,
     anisotropy: f32,
+    /// Factor on extinction per colour channel.
+    chromatic: [f32; 3],
     /// What the latest scattered light was solved for, and how well.
     lights: Vec<Light>,
     certified: f64,
     converged: bool,
+    /// Bricks of direct light that the latest solve swept, where nothing else changed.
+    touched: Option<(BrickLayout, Vec<bool>)>,
 }
 
 /// Bricks of direct light: finer ones follow what changed more closely, coarser ones are swept faster a voxel. On smoke that
 /// moves by a voxel a step 16³ are swept in half of the volume, 32³ in three quarters.
 const EDGE: usize = 16;
 
-/// Share of the bricks above which sweeping them one by one costs more than the whole.
-const MANY: f64 = 0.6;
-
-/// Steps that are swept whole, without looking for change, after one in which many bricks were.
-const UNLOOKED: u32 = 3;
+/// Share of changed bricks above which sweeping those one by one that see a change costs more than the whole grid.
+const MANY: f64 = 0.5;
 
 /// What one sweep is for: a light, in the colour channels that dim alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,11 +107,21 @@ pub(super) struct Physical {
     layout: BrickLayout,
     sigma: [Buffer; 2],
     solved: bool,
-    /// Steps still to come that are swept whole.
-    unlooked: u32,
+    only_visible: bool,
     optics: Option<Optics>,
     /// Irradiance of a lamp on the grid of direct light.
     lit: Option<Buffer>,
+}
+
+/// What is known of light that is kept in a file, besides its volumes.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    /// None: no bound is known.
+    certified: Option<f64>,
+    converged: bool,
+    sources: usize,
+    chromatic: [f32; 3],
+    scattered: Option<Vec<KeptChannel>>,
 }
 
 /// Optics and first-collision light on the grid of scattered light.
@@ -130,7 +143,7 @@ impl Physical {
             layout: BrickLayout::new(grid.size, EDGE),
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
-            unlooked: 0,
+            only_visible: false,
             optics: None,
             lit: None,
             keys,
@@ -155,9 +168,7 @@ impl Physical {
         let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
         device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
-        let look = warm && self.unlooked == 0;
-        self.unlooked = self.unlooked.saturating_sub(1);
-        let change = if look {
+        let change = if warm {
             report.voxel_updates += self.grid.len() as u64;
             Some(device.change(&self.layout, now, before)?)
         } else {
@@ -165,25 +176,141 @@ impl Physical {
         };
         volume.grid = Some(self.grid);
         volume.anisotropy = self.anisotropy;
+        volume.chromatic = medium.table.chromatic;
         report.warm = warm;
-        let chromatic = medium.table.chromatic;
-        let swept = self.direct(device, (lights, chromatic), change.as_deref(), volume, &mut report)?;
-        if look && swept > MANY {
-            self.unlooked = UNLOOKED;
+        let seen = (self.only_visible && !self.keys.scattering).then(|| self.seen(medium));
+        let few = change.as_deref().filter(|c| {
+            let changed = c.iter().filter(|c| **c != [0.0; 3]).count();
+            changed as f64 <= MANY * c.len() as f64
+        });
+        self.direct(device, (lights, medium.table.chromatic), (few, seen.as_deref()), volume, &mut report)?;
+        let mut touched = volume.touched.take().map_or_else(Vec::new, |(_, bricks)| bricks);
+        touched.clear();
+        touched.resize(self.layout.len(), false);
+        for (_, direct) in &volume.direct {
+            touched.iter_mut().zip(direct.touched()).for_each(|(t, d)| *t |= d);
         }
+        let same_lights = warm && volume.lights == lights;
         let still = change.is_some_and(|c| c.iter().all(|c| *c == [0.0; 3])) && volume.lights == lights;
         if still && volume.scattered.is_some() && self.still(device, medium, &mut report)? {
             report.certified_error += volume.certified;
             report.converged = volume.converged;
+            volume.touched = Some((self.layout, touched));
         } else {
             let direct = report.certified_error;
             self.scattered(device, medium, lights, warm, volume, &mut report)?;
             volume.certified = report.certified_error - direct;
             volume.converged = report.converged;
             volume.lights = lights.to_vec();
+            volume.touched = (same_lights && volume.scattered.is_none()).then_some((self.layout, touched));
         }
         self.solved = true;
         Ok(report)
+    }
+
+    /// See [`super::LightSolver::only_visible`].
+    pub(super) fn only_visible(&mut self, only: bool) {
+        self.only_visible = only;
+    }
+
+    /// Bricks whose light some sample of a ray interpolates where there is something to see.
+    fn seen(&self, medium: &Medium) -> Vec<bool> {
+        let mut seen = vec![false; self.layout.len()];
+        let edge = self.layout.edge;
+        for b in (0..medium.bricks.len()).filter(|&b| medium.majorant[b] > 0.0) {
+            let region = medium.bricks.region(b);
+            let at = |a: usize, data: f64| {
+                let index = (data + 0.5) * self.grid.size[a] as f64 / medium.grid.size[a] as f64 - 0.5;
+                index.clamp(0.0, (self.grid.size[a] - 1) as f64) as usize / edge
+            };
+            // A light voxel beyond what the samples' cells reach: interpolation looks there.
+            let scale = |a: usize| medium.grid.size[a] as f64 / self.grid.size[a] as f64;
+            let first: [usize; 3] = std::array::from_fn(|a| at(a, region.start[a] as f64 - 1.0 - scale(a)));
+            let last: [usize; 3] = std::array::from_fn(|a| at(a, region.end()[a] as f64 + scale(a)));
+            for z in first[2]..=last[2] {
+                for y in first[1]..=last[1] {
+                    for x in first[0]..=last[0] {
+                        seen[self.layout.number([x, y, z])] = true;
+                    }
+                }
+            }
+        }
+        seen
+    }
+
+    /// What a later run may start from; `None` before the first solve.
+    pub(super) fn keep(
+        &self,
+        device: &dyn Device,
+        volume: &Unknowns,
+        volumes: &mut Vec<(String, Vec<f32>)>,
+    ) -> Result<Option<serde_json::Value>> {
+        if !self.solved {
+            return Ok(None);
+        }
+        let mut put = |name: String, buffer: &Buffer| {
+            let mut values = vec![0.0; buffer.len()];
+            device.download(buffer, &mut values)?;
+            volumes.push((name, values));
+            Ok::<_, crate::Error>(())
+        };
+        put("extinction".into(), &self.sigma[0])?;
+        for (n, (_, direct)) in volume.direct.iter().enumerate() {
+            put(format!("direct_{n}"), &direct.rho)?;
+        }
+        volumes.extend(volume.direct.iter().enumerate().map(|(n, (_, d))| (format!("direct_{n}_drift"), d.drift())));
+        let kept = Kept {
+            certified: Some(volume.certified).filter(|c| c.is_finite()),
+            converged: volume.converged,
+            sources: volume.direct.len(),
+            chromatic: volume.chromatic,
+            scattered: volume.scattered.as_ref().map(|s| s.keep(device, volumes)).transpose()?,
+        };
+        Ok(Some(serde_json::to_value(kept).expect("numbers and lists")))
+    }
+
+    /// Takes up what [`Physical::keep`] gave for the same settings and lights. False when it does not fit: the next solve is cold.
+    pub(super) fn restore(
+        &mut self,
+        device: &dyn Device,
+        kept: &serde_json::Value,
+        mut take: impl FnMut(&str) -> Option<Vec<f32>>,
+        lights: &[Light],
+        volume: &mut Unknowns,
+    ) -> Result<bool> {
+        let Ok(kept) = serde_json::from_value::<Kept>(kept.clone()) else { return Ok(false) };
+        match take("extinction") {
+            Some(values) if values.len() == self.grid.len() => device.upload(&values, &mut self.sigma[0])?,
+            _ => return Ok(false),
+        }
+        self.sources(device, lights, kept.chromatic, volume)?;
+        if volume.direct.len() != kept.sources {
+            return Ok(false);
+        }
+        for (n, (_, direct)) in volume.direct.iter_mut().enumerate() {
+            let (rho, drift) = (take(&format!("direct_{n}")), take(&format!("direct_{n}_drift")));
+            let (Some(rho), Some(drift)) = (rho, drift) else { return Ok(false) };
+            if !direct.restore(device, &rho, &drift)? {
+                return Ok(false);
+            }
+        }
+        volume.scattered = match kept.scattered {
+            Some(channels) => {
+                let mut scattered = Scattered::new(device, self.coarse, channels.len(), self.anisotropy)?;
+                if !scattered.restore(device, &channels, take)? {
+                    return Ok(false);
+                }
+                Some(scattered)
+            }
+            None => None,
+        };
+        volume.grid = Some(self.grid);
+        volume.anisotropy = self.anisotropy;
+        volume.certified = kept.certified.unwrap_or(f64::INFINITY);
+        volume.converged = kept.converged;
+        volume.lights = lights.to_vec();
+        self.solved = true;
+        Ok(true)
     }
 
     /// True when the medium scatters and glows as in the step before; its extinction does.
@@ -205,14 +332,43 @@ impl Physical {
         &mut self,
         device: &dyn Device,
         (lights, chromatic): (&[Light], [f32; 3]),
-        change: Option<&[[f32; 3]]>,
+        (change, seen): (Option<&[[f32; 3]]>, Option<&[bool]>),
         volume: &mut Unknowns,
         report: &mut SolveReport,
-    ) -> Result<f64> {
-        let cubic = self.keys.interpolation == Interpolation::Cubic;
+    ) -> Result<()> {
         // An error of direct light comes back from scattering up to 1/(1 − ω) times, and a sweep costs less than one ordinate's:
         // where light scatters on, only what is the same to the bit is left alone.
         let tolerance = if self.keys.scattering { 0.0 } else { self.keys.tolerance };
+        self.sources(device, lights, chromatic, volume)?;
+        if volume.direct.iter().any(|(s, _)| s.lamp.is_some()) && self.lit.is_none() {
+            self.lit = Some(device.alloc(self.grid.len())?);
+        }
+        let total: f32 = volume.direct.iter().map(|(s, _)| brightest(s.strength)).sum();
+        let mut worst = 0.0f64;
+        for (source, direct) in &mut volume.direct {
+            direct.demand(seen);
+            let done = direct.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
+            report.bricks_active += done.bricks_active;
+            report.bricks_total += done.bricks_total;
+            report.bricks_culled += done.bricks_culled;
+            report.voxel_updates += done.voxels;
+            report.sweeps += done.voxels as f64 / self.grid.len() as f64;
+            worst = worst.max(done.certified_error.into());
+            if total > 0.0 {
+                report.certified_error += f64::from(done.certified_error * brightest(source.strength) / total);
+            }
+        }
+        // What lamps of different places add up to differs from voxel to voxel: the worst of them bounds it everywhere.
+        if volume.direct.iter().any(|(s, _)| s.lamp.is_some()) {
+            report.certified_error = worst;
+        }
+        Ok(())
+    }
+
+    /// Makes room for the direct light of each source. A light that was there before keeps its sweep, wherever it stands in the list
+    /// and whatever its strength.
+    fn sources(&self, device: &dyn Device, lights: &[Light], chromatic: [f32; 3], volume: &mut Unknowns) -> Result<()> {
+        let cubic = self.keys.interpolation == Interpolation::Cubic;
         let sources = Source::all(&self.grid, lights, cubic, chromatic);
         let mut kept = std::mem::take(&mut volume.direct);
         let mut found: Vec<Option<Direct>> = sources
@@ -235,32 +391,7 @@ impl Physical {
             };
             volume.direct.push((*source, direct));
         }
-        if sources.iter().any(|s| s.lamp.is_some()) && self.lit.is_none() {
-            self.lit = Some(device.alloc(self.grid.len())?);
-        }
-        let total: f32 = sources.iter().map(|s| brightest(s.strength)).sum();
-        let mut worst = 0.0f64;
-        let mut known = [0; 2];
-        for (source, direct) in &mut volume.direct {
-            let before = direct.is_solved();
-            let done = direct.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
-            report.bricks_active += done.bricks_active;
-            report.bricks_total += done.bricks_total;
-            if before {
-                known = [known[0] + done.bricks_active, known[1] + done.bricks_total];
-            }
-            report.voxel_updates += done.voxels;
-            report.sweeps += done.voxels as f64 / self.grid.len() as f64;
-            worst = worst.max(done.certified_error.into());
-            if total > 0.0 {
-                report.certified_error += f64::from(done.certified_error * brightest(source.strength) / total);
-            }
-        }
-        // What lamps of different places add up to differs from voxel to voxel: the worst of them bounds it everywhere.
-        if sources.iter().any(|s| s.lamp.is_some()) {
-            report.certified_error = worst;
-        }
-        Ok(known[0] as f64 / known[1].max(1) as f64)
+        Ok(())
     }
 
     /// Scattered light, and the uncollided light of the environment.
@@ -367,6 +498,11 @@ impl Physical {
 }
 
 impl Unknowns {
+    /// Where the latest solve changed the light.
+    pub(super) fn touched(&self) -> Touched<'_> {
+        self.touched.as_ref().map_or(Touched::Everywhere, |(layout, bricks)| Touched::Bricks(*layout, bricks))
+    }
+
     /// The light as the ray caster takes it: one term for each light, and those of scattered light.
     pub(super) fn terms(&self) -> Vec<Term<'_>> {
         let Some(grid) = &self.grid else { return vec![] };

@@ -9,6 +9,7 @@ use crate::medium::Medium;
 use crate::scene::{RenderKind, Scene};
 
 mod raycast;
+pub mod reuse;
 
 pub use raycast::Raycast;
 
@@ -23,6 +24,21 @@ pub trait Renderer: Send {
         camera: &Camera,
         size: [usize; 2],
     ) -> Result<Frame>;
+
+    /// Makes some tiles of `frame` anew ([`crate::device::March::TILE`]), to the bit as [`Renderer::render`] would, and leaves
+    /// the others. False: this renderer cannot, and nothing was done.
+    fn render_tiles(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        light: &LightVolume,
+        camera: &Camera,
+        tiles: &[u32],
+        frame: &mut Frame,
+    ) -> Result<bool> {
+        let _ = (device, medium, light, camera, tiles, frame);
+        Ok(false)
+    }
 }
 
 /// The renderer that a scene asks for.

@@ -54,6 +54,34 @@ impl Renderer for Raycast {
         size: [usize; 2],
     ) -> Result<Frame> {
         let mut frame = Frame::new(size);
+        self.cast(device, medium, light, camera, None, &mut frame)?;
+        Ok(frame)
+    }
+
+    fn render_tiles(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        light: &LightVolume,
+        camera: &Camera,
+        tiles: &[u32],
+        frame: &mut Frame,
+    ) -> Result<bool> {
+        self.cast(device, medium, light, camera, Some(tiles), frame)?;
+        Ok(true)
+    }
+}
+
+impl Raycast {
+    fn cast(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        light: &LightVolume,
+        camera: &Camera,
+        tiles: Option<&[u32]>,
+        frame: &mut Frame,
+    ) -> Result<()> {
         let terms = light.terms();
         let march = March {
             grid: &medium.grid,
@@ -66,7 +94,9 @@ impl Renderer for Raycast {
             camera,
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };
-        device.march(&march, &mut frame)?;
-        Ok(frame)
+        match tiles {
+            Some(tiles) => device.march_tiles(&march, tiles, frame),
+            None => device.march(&march, frame),
+        }
     }
 }

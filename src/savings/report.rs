@@ -20,9 +20,21 @@ struct Curve<'a> {
     value: fn(&Step) -> f64,
 }
 
+/// The report as one HTML file that needs no other.
+pub(super) fn html(all: &[Savings]) -> Result<String> {
+    let sections: String = all.iter().map(Savings::section).collect::<Result<_>>()?;
+    Ok(format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>What the warm start saves</title>\n\
+         <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}}\
+         table{{border-collapse:collapse;margin:1rem 0}}td,th{{padding:.2rem .9rem;text-align:right;border-bottom:1px \
+         solid #ddd}}td:first-child,th:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}</style>\n\
+         <h1>What the warm start saves</h1>\n{sections}</html>\n"
+    ))
+}
+
 impl Savings {
-    /// The report as one HTML file that needs no other.
-    pub fn html(&self) -> Result<String> {
+    /// One measurement.
+    fn section(&self) -> Result<String> {
         let both = |cold: fn(&Step) -> f64, warm: fn(&Step) -> f64| {
             [Curve { name: "cold", color: COLD, value: cold }, Curve { name: "warm", color: WARM, value: warm }]
         };
@@ -36,7 +48,7 @@ impl Savings {
             ),
             ("Seconds", both(|s| s.cold.seconds, |s| s.warm.seconds)),
             (
-                "Bricks of direct light that were swept, of all",
+                "Active fraction: bricks that were swept, of all",
                 both(
                     |s| s.cold.bricks_active as f64 / s.cold.bricks_total.max(1) as f64,
                     |s| s.warm.bricks_active as f64 / s.warm.bricks_total.max(1) as f64,
@@ -51,7 +63,11 @@ impl Savings {
             Curve { name: "true, cold", color: COLD, value: |s| s.cold.true_error },
         ];
         plots += &self.plot("Error, relative; the line is the tolerance", &errors, Some(f64::from(self.tolerance)))?;
-        let verdict = |r: f64| if r >= 1.0 { "saved" } else { "lost" };
+        let verdict = |r: f64| match r {
+            r if r > 1.0 => "saved",
+            r if r < 1.0 => "lost",
+            _ => "even",
+        };
         let mut rows = String::new();
         for (what, cold, warm, ratio) in [
             ("seconds", self.cold.seconds, self.warm.seconds, self.ratio.seconds),
@@ -66,16 +82,14 @@ impl Savings {
                 verdict(ratio)
             );
         }
+        let mut name = self.what.clone();
+        name[..1].make_ascii_uppercase();
         Ok(format!(
-            "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>What the warm start saves</title>\n\
-             <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}}\
-             table{{border-collapse:collapse;margin:1rem 0}}td,th{{padding:.2rem .9rem;text-align:right;border-bottom:1px \
-             solid #ddd}}td:first-child,th:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}</style>\n\
-             <h1>What the warm start saves</h1>\n<p>{} steps on {}, tolerance {:e} certified for both. Cold and warm ran in \
+            "<h2>{name}</h2>\n<p>{} steps on {}, tolerance {:e} certified for both. Cold and warm ran in \
              turns in one process; true errors are against a cold solve at tolerance {:e}. All steps count, the first \
              included.</p>\n<table><tr><th></th><th>cold</th><th>warm</th><th>cold ÷ warm</th><th></th></tr>\n{rows}\
-             </table>\n<p>Largest certified error of the warm light {:.1e}, largest true error {:.1e} (cold {:.1e}); direct \
-             light swept {:.0} % of its bricks.</p>\n{plots}</html>\n",
+             </table>\n<p>Largest certified error of the warm light {:.1e}, largest true error {:.1e} (cold {:.1e}); {:.0} % of \
+             the bricks swept.</p>\n{plots}",
             self.steps.len(),
             self.device,
             self.tolerance,

@@ -34,7 +34,7 @@ mod yuv;
 
 pub use png::png_bytes;
 use template::Template;
-pub(crate) use whole::write_whole;
+pub(crate) use whole::{reserve, temporary_beside, write_whole};
 
 /// What a session made of one step.
 #[derive(Debug, Clone)]

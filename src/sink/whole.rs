@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, TempPath};
 
 use crate::error::{Error, Result};
 
@@ -20,6 +20,13 @@ pub(crate) fn write_whole(path: &Path, fill: impl FnOnce(&mut BufWriter<&mut Fil
     drop(writer);
     temporary.persist(path).map_err(|e| failed(e.error))?;
     Ok(())
+}
+
+/// The name of a file beside `path` that a library may fill and that then takes its name; it is gone if it does not.
+pub(crate) fn temporary_beside(path: &Path) -> Result<TempPath> {
+    let folder = folder_of(path);
+    let made = std::fs::create_dir_all(&folder).and_then(|()| temporary_in(&folder));
+    Ok(made.map_err(|e| Error::io(folder, e))?.into_temp_path())
 }
 
 /// Creates a folder, and finds out now rather than after the first step's work whether files can be made in it.

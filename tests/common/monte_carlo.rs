@@ -142,3 +142,67 @@ pub fn scatter(direction: DVec3, g: f64, rng: &mut XorShiftRng) -> DVec3 {
     let (a, b) = direction.any_orthonormal_pair();
     (a * (sine * angle.cos()) + b * (sine * angle.sin()) + direction * cosine).normalize()
 }
+
+/// Radiance that arrives at `eye` against `direction` (unit), of light scattered at least once in an isotropic medium under a
+/// distant light, and its standard error: paths by delta tracking, light at each collision by ratio tracking.
+#[allow(dead_code)]
+pub fn radiance(medium: &Medium, lamp: Lamp, eye: DVec3, direction: DVec3, paths: usize, seed: u64) -> (f64, f64) {
+    let Lamp::Distant { direction: travel, irradiance } = lamp else { panic!("a distant light") };
+    assert_eq!(medium.anisotropy, 0.0, "isotropic");
+    let mut rng = XorShiftRng::seed_from_u64(seed);
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for _ in 0..paths {
+        let (mut position, mut way, mut weight, mut found) = (eye, direction, 1.0, 0.0);
+        while let Some(collision) = collide(medium, position, way, &mut rng) {
+            position = collision;
+            weight *= medium.albedo;
+            if weight < 0.1 {
+                if rng.random::<f64>() >= 0.5 {
+                    break;
+                }
+                weight *= 2.0;
+            }
+            found +=
+                weight * irradiance / (4.0 * std::f64::consts::PI) * transmittance(medium, position, -travel, &mut rng);
+            way = scatter(way, 0.0, &mut rng);
+        }
+        sum += found;
+        squares += found * found;
+    }
+    let n = paths as f64;
+    (sum / n, ((squares / n - (sum / n).powi(2)) / (n - 1.0)).max(0.0).sqrt())
+}
+
+/// Where a ray is inside the box, as a range of lengths.
+fn inside(position: DVec3, way: DVec3) -> [f64; 2] {
+    let (low, high) = (-position / way, (1.0 - position) / way);
+    [low.min(high).max_element().max(0.0), low.max(high).min_element()]
+}
+
+/// The next collision along a ray, if it meets one before it leaves.
+fn collide(medium: &Medium, position: DVec3, way: DVec3, rng: &mut XorShiftRng) -> Option<DVec3> {
+    let [mut t, end] = inside(position, way);
+    loop {
+        t -= (1.0 - rng.random::<f64>()).ln() / medium.majorant;
+        if !(t < end) {
+            return None;
+        }
+        let at = position + t * way;
+        if rng.random::<f64>() * medium.majorant < (medium.extinction)(at) {
+            return Some(at);
+        }
+    }
+}
+
+/// An unbiased estimate of the transmittance along a ray out of the box.
+fn transmittance(medium: &Medium, position: DVec3, way: DVec3, rng: &mut XorShiftRng) -> f64 {
+    let [mut t, end] = inside(position, way);
+    let mut left = 1.0;
+    loop {
+        t -= (1.0 - rng.random::<f64>()).ln() / medium.majorant;
+        if !(t < end) || left == 0.0 {
+            return left;
+        }
+        left *= 1.0 - (medium.extinction)(position + t * way) / medium.majorant;
+    }
+}

@@ -95,3 +95,38 @@ fn many_lights_agree() {
     let [want, got] = both(|d| picture(d, &cameras()[0], &weights, None));
     assert_close(want.as_flattened(), got.as_flattened(), 2e-5, "11 lights");
 }
+
+/// A list of tiles gives the pixels of the whole picture there, and touches no other.
+#[test]
+fn listed_tiles_are_those_of_the_whole_picture() {
+    for d in [cpu() as &dyn Device, gpu()] {
+        let (grid, field) = (anisotropic(), upload(d, &blobs(ODD)));
+        let values = upload(d, &noise(40, grid.len()));
+        let terms = [Term { values: &values, grid: &grid, weight: phase([0.3, -0.5, -0.8], 0.6) }];
+        let table = table();
+        let march = March {
+            grid: &grid,
+            field: &field,
+            table: &table,
+            bricks: BrickLayout::new(ODD, 8),
+            majorant: &[],
+            terms: &terms,
+            phong: None,
+            camera: &cameras()[0],
+            step: 0.011,
+        };
+        let size = [61, 43];
+        let mut whole = Frame::new(size);
+        d.march(&march, &mut whole).unwrap();
+        let mut some = Frame { size, pixels: vec![[-1.0; 4]; 61 * 43] };
+        let list = [1u32, 5, 6, 11];
+        d.march_tiles(&march, &list, &mut some).unwrap();
+        for (i, (got, want)) in some.pixels.iter().zip(&whole.pixels).enumerate() {
+            let tile = (i / 61 / March::TILE * March::tiles(size)[0] + i % 61 / March::TILE) as u32;
+            assert_eq!(*got, if list.contains(&tile) { *want } else { [-1.0; 4] }, "pixel {i} on {}", d.name());
+        }
+        let before = some.clone();
+        d.march_tiles(&march, &[], &mut some).unwrap();
+        assert_eq!(some, before);
+    }
+}

@@ -283,4 +283,9 @@ impl Device for Cpu {
         self.pool.install(|| march::march_slab(march, part, picture, rays));
         Ok(())
     }
+
+    fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
+        self.pool.install(|| march::march_tiles(march, tiles, frame));
+        Ok(())
+    }
 }

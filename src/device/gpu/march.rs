@@ -68,14 +68,29 @@ struct TermParams {
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
     let mut rays = vec![Ray::FRESH; frame.pixels.len()];
-    let all = Part {
-        cells: 0..march.grid.size[2],
-        field: 0..march.grid.size[2],
-        terms: march.terms.iter().map(|t| 0..t.grid.size[2]).collect(),
-    };
-    march_slab(gpu, march, &all, frame.size, &mut rays)?;
+    march_slab(gpu, march, &whole(march), frame.size, &mut rays)?;
     frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
     Ok(())
+}
+
+/// All tiles but the listed ones are rays that end before their first sample.
+pub(super) fn march_tiles(gpu: &Gpu, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
+    let ([across, down], width) = (March::tiles(frame.size), frame.size[0]);
+    let mut listed = vec![false; across * down];
+    tiles.iter().for_each(|t| listed[*t as usize] = true);
+    let listed = |pixel: usize| listed[pixel / width / March::TILE * across + pixel % width / March::TILE];
+    let spent = Ray { transmittance: [0.0; 3], ..Ray::FRESH };
+    let mut rays: Vec<Ray> = (0..frame.pixels.len()).map(|p| if listed(p) { Ray::FRESH } else { spent }).collect();
+    march_slab(gpu, march, &whole(march), frame.size, &mut rays)?;
+    let pixels = frame.pixels.iter_mut().zip(&rays).enumerate().filter(|(p, _)| listed(*p));
+    pixels.for_each(|(_, (pixel, ray))| *pixel = ray.pixel());
+    Ok(())
+}
+
+/// The whole volume as one slab.
+fn whole(march: &March) -> Part {
+    let planes = march.grid.size[2];
+    Part { cells: 0..planes, field: 0..planes, terms: march.terms.iter().map(|t| 0..t.grid.size[2]).collect() }
 }
 
 pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {

@@ -485,6 +485,10 @@ impl Device for Gpu {
         march::march(self, march, frame)
     }
 
+    fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
+        march::march_tiles(self, march, tiles, frame)
+    }
+
     fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
         march::march_slab(self, march, part, picture, rays)
     }

@@ -27,6 +27,16 @@ impl State {
         Ok(())
     }
 
+    /// φ, then J.
+    pub fn parts(&self) -> impl Iterator<Item = &Buffer> {
+        std::iter::once(&self.phi).chain(self.current.iter().flatten())
+    }
+
+    /// φ, then J.
+    pub fn parts_mut(&mut self) -> impl Iterator<Item = &mut Buffer> {
+        std::iter::once(&mut self.phi).chain(self.current.iter_mut().flatten())
+    }
+
     /// Inner product over φ and J.
     pub fn dot(&self, device: &dyn Device, other: &State) -> Result<f64> {
         let mut sum = device.dot(&self.phi, &other.phi)?;

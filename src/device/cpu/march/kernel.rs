@@ -9,7 +9,7 @@ use super::plan::{Albedo, Column, Group, Lattice, Optics, Plan, Volume};
 use crate::device::{Falloff, March, Phong, Ray, Weight};
 
 /// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
-pub(super) const TILE: usize = 16;
+pub(super) const TILE: usize = March::TILE;
 /// Samples between two questions whether the bricks ahead are empty. Asking costs about a third of a sample; not asking costs
 /// the samples taken beyond the end of a brick. Measured on `benches/raycast.rs` with bricks of 8³ (AVX-512, ms of one core):
 /// 157 at 1, 143 at 2, 133 at 4, 124 at 8, 124 at 12.

@@ -24,6 +24,26 @@ pub fn march(march: &March, frame: &mut Frame) {
     frame.pixels = cast(&plan, at_level(level(&plan)));
 }
 
+/// The same for the listed tiles only; see [`March::TILE`].
+pub fn march_tiles(march: &March, list: &[u32], frame: &mut Frame) {
+    let ([across, down], [width, height]) = (March::tiles(frame.size), frame.size);
+    assert!(list.iter().all(|t| (*t as usize) < across * down), "a tile outside the picture");
+    let mut tiles = vec![[Ray::FRESH; TILE * TILE]; list.len()];
+    let corner = |tile: u32| [tile as usize % across * TILE, tile as usize / across * TILE];
+    if let Some(plan) = Plan::new(march, None, frame.size) {
+        let kernel = at_level(level(&plan));
+        tiles.par_iter_mut().zip(list).with_max_len(1).for_each(|(rays, tile)| kernel(&plan, corner(*tile), rays));
+    }
+    for (rays, tile) in tiles.iter().zip(list) {
+        let [x, y] = corner(*tile);
+        let cut = TILE.min(width - x);
+        for (row, rays) in (y..(y + TILE).min(height)).zip(rays.chunks(TILE)) {
+            let pixels = &mut frame.pixels[row * width + x..][..cut];
+            pixels.iter_mut().zip(rays).for_each(|(pixel, ray)| *pixel = ray.pixel());
+        }
+    }
+}
+
 /// Carries rays through a slab. See [`Device::march_slab`](crate::device::Device::march_slab).
 pub fn march_slab(march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) {
     assert_eq!(rays.len(), picture[0] * picture[1], "a ray for each pixel");
