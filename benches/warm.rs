@@ -55,7 +55,8 @@ fn report(name: &str, steps: &[Step]) {
         (sum(|s| &s.cold), sum(|s| &s.warm))
     };
     print!("{name:28}");
-    let figures: [(&str, fn(&Cost) -> f64); 4] = [
+    type Figure = (&'static str, fn(&Cost) -> f64);
+    let figures: [Figure; 4] = [
         ("iterations", |c| c.iterations as f64),
         ("bricks", |c| c.bricks_active as f64),
         ("Mvoxels", |c| c.voxel_updates as f64 * 1e-6),

@@ -148,7 +148,7 @@ mod tests {
         let image = marked([16, 8]);
         for z in [-0.93, -0.4, 0.1, 0.8] {
             for step in 0..32 {
-                let azimuth = (step as f64 + 0.5) * TAU / 32.0;
+                let azimuth = (f64::from(step) + 0.5) * TAU / 32.0;
                 let cell = Cell { z: [z - 1e-4, z + 1e-4], azimuth: [azimuth - 1e-4, azimuth + 1e-4] };
                 let side = (1.0f64 - z * z).sqrt();
                 let middle = DVec3::new(side * azimuth.cos(), side * azimuth.sin(), z);

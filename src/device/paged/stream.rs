@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
+use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::Paged;
 use super::store::{Content, Data, Store};
@@ -134,7 +134,7 @@ impl Paged {
         let rooms: Vec<usize> = readings.iter().map(Reading::room).collect();
         let mut places = feeds.iter().zip(&rooms).map(|(f, room)| self.place(f, *room)).collect::<Result<Vec<_>>>()?;
         let (full_tx, full_rx) = bounded::<Result<Step>>(0);
-        let (empty_tx, empty_rx) = unbounded::<Step>();
+        let (empty_tx, empty_rx) = bounded::<Step>(1);
         // The inner device has memory for one slab already: this is for the one that is read meanwhile.
         let _ = empty_tx.send(rooms.iter().map(|&n| vec![0.0; n]).collect());
         std::thread::scope(|scope| {
