@@ -151,7 +151,7 @@ fn values_outside_their_range_name_the_key_the_line_and_what_is_allowed() {
         ("[[lights]]\nkind = \"point\"\nradius = -1", "lights.0.radius", "0 or more"),
         ("[[lights]]\nkind = \"cone\"\nangle = 0", "lights.0.angle", "above 0, at most 90"),
         ("[[lights]]\nkind = \"cone\"\nangle = 91", "lights.0.angle", "above 0, at most 90"),
-        ("[[lights]]\nkind = \"cone\"\nangle = 20\nedge = 21", "lights.0.edge", "at most the angle"),
+        ("[[lights]]\nangle = 20\nedge = 21", "lights.0.edge", "at most the angle"),
         ("[[lights]]\nkind = \"cone\"\ndirection = [0, 0, 0]", "lights.0.direction", "not all 0"),
         ("[[lights]]\nsoftness = 3\nsamples = 5", "lights.0.samples", "1, 7 or 19"),
         ("[[lights]]\nimage = \"sky.exr\"", "lights.0.image", "of an environment"),
