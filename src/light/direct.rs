@@ -312,7 +312,7 @@ impl Direct {
         }
         device.upload(rho, &mut self.rho)?;
         for (brick, known) in self.bricks.iter_mut().zip(drift.chunks_exact(3)) {
-            *brick = Brick { depth: known[0], inflow: known[1], error: known[2], ..Brick::default() };
+            *brick = Brick { depth: known[0], inflow: known[1], error: known[2] };
         }
         self.solved = true;
         Ok(true)

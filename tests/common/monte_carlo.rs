@@ -184,7 +184,7 @@ fn collide(medium: &Medium, position: DVec3, way: DVec3, rng: &mut XorShiftRng) 
     let [mut t, end] = inside(position, way);
     loop {
         t -= (1.0 - rng.random::<f64>()).ln() / medium.majorant;
-        if !(t < end) {
+        if t >= end {
             return None;
         }
         let at = position + t * way;
@@ -200,7 +200,7 @@ fn transmittance(medium: &Medium, position: DVec3, way: DVec3, rng: &mut XorShif
     let mut left = 1.0;
     loop {
         t -= (1.0 - rng.random::<f64>()).ln() / medium.majorant;
-        if !(t < end) || left == 0.0 {
+        if t >= end || left == 0.0 {
             return left;
         }
         left *= 1.0 - (medium.extinction)(position + t * way) / medium.majorant;
