@@ -15,6 +15,7 @@
 //! | [`light_state`] | light kept in a file between runs |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
 //! | [`insitu`] | a running simulation that hands over its steps |
+//! | [`preview`] | a series seen through means over blocks of its voxels |
 //! | [`memory`] | what a run takes, and volumes larger than that |
 //! | [`savings`] | what the warm start saves, measured |
 //!
@@ -37,6 +38,7 @@ pub mod lights;
 pub mod medium;
 pub mod memory;
 pub mod pipeline;
+pub mod preview;
 pub mod render;
 pub mod savings;
 pub mod scene;

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::light::ordinates::Scattered;
 use crate::lights::{self, Light};
+use crate::preview;
 use crate::scene::{DiffusionMethod, Falloff, Model, Scene, Shading, SolverKeys};
 use crate::transfer::TransferFunction;
 
@@ -150,6 +151,19 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     Ok((4 * (least + kept.min(least / 3))).div_ceil(100) * 101)
 }
 
+/// The smallest blocks, in voxels along an edge and at least 2, whose means can be lit within `budget` bytes as a whole.
+pub fn preview(scene: &Scene, grid: &Grid, budget: Option<u64>) -> Result<usize> {
+    let budget = budget.unwrap_or(u64::MAX);
+    let mut needed = 0;
+    for factor in 2..=64 {
+        needed = working_set(scene, &grid.resized(preview::size(grid.size, factor)))?;
+        if needed <= budget {
+            return Ok(factor);
+        }
+    }
+    Err(Error::OutOfMemory { needed, budget })
+}
+
 /// Bytes of memory that this process may still take: what the machine has available, within the limits of its control group;
 /// a tenth of it is left to others. `None` where the system does not say.
 pub fn available() -> Option<u64> {
@@ -172,12 +186,14 @@ pub fn available() -> Option<u64> {
 /// [`Error::OutOfMemory`], naming the smallest budget that works.
 pub fn fit(device: Arc<dyn Device>, scene: &Scene, grid: &Grid, budget: u64, folder: &Path) -> Result<Arc<dyn Device>> {
     let whole = working_set(scene, grid)?;
-    if whole <= budget {
+    let Needs { data, direct, solved, .. } = Needs::new(scene, grid)?;
+    let largest = 4 * [data, direct.0, solved.0].map(values).into_iter().max().unwrap_or(0);
+    if whole <= budget && largest <= device.largest() {
         return Ok(device);
     }
     let least = smallest(scene, grid)?;
     // Where the whole takes little more than the least there is nothing to gain.
-    if least > budget || whole <= least {
+    if least > budget || (whole <= least && whole > budget) {
         return Err(Error::OutOfMemory { needed: least.min(whole), budget });
     }
     Ok(Arc::new(Paged::new(device, budget, folder)))

@@ -19,7 +19,8 @@ use crate::error::{Error, Result, guarded};
 use crate::field::{Dense, Timestep};
 use crate::ledger::{Ledger, LedgerRow};
 use crate::light_state::LightState;
-use crate::scene::{Model, Scene};
+use crate::preview::Preview;
+use crate::scene::{Model, RangeKey, Scene};
 use crate::session::{Session, cameras};
 use crate::sink::{self, Output, Sink, SinkOptions};
 use crate::source::Series;
@@ -96,7 +97,7 @@ pub type OnProgress<'a> = dyn FnMut(Progress) + Send + 'a;
 /// Runs a job to its end, or until `stop` is set: then the step in hand is finished and everything is closed.
 pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result<Summary> {
     let Job { series, indices, scene, device, outputs, ledger, light_state, follow, resume, keep } = job;
-    let info = series.info();
+    let info = series.info().clone();
     if indices.is_empty() && follow.is_none() {
         return Err(Error::format(
             info.series.first().cloned().unwrap_or_default(),
@@ -110,8 +111,11 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
         ));
     }
     let kept_light = light_state.as_deref().filter(|p| p.exists()).map(LightState::read).transpose()?;
-    // A device that pages is one that has no room for whole steps.
-    let keep = if device.pages() { 0 } else { keep };
+    if follow.is_some() && scene.render.preview > 1 {
+        return Err(Error::Unsupported("--preview of a series that is followed: leave --follow or --preview out".into()));
+    }
+    // A device that pages is one that has no room for whole steps, and a preview has no use for them.
+    let keep = if device.pages() || scene.render.preview > 1 { 0 } else { keep };
     let count = if follow.is_some() { 0 } else { indices.len() };
     let sinks = || open_sinks(&scene, &outputs, count, [&info.field, &info.units, &info.time_units]);
     let done = if resume { resume::Done::of(sinks()?, &outputs, ledger.as_deref())? } else { resume::Done::default() };
@@ -128,6 +132,7 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
         None => range::Pass::default(),
     };
     let wants_light = sinks.iter().any(|s| s.wants_light());
+    let (series, scene) = coarser(series, scene, pass.range)?;
     let mut session = Session::new(device, scene, pass.range, wants_light)?;
     if let Some(kept) = kept_light {
         session.start_from(kept);
@@ -151,6 +156,24 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
         }
     });
     run.drive(steps, stop, progress)
+}
+
+/// The series and the scene as a preview shows them.
+fn coarser(series: Box<dyn Series>, scene: Scene, range: Option<[f64; 2]>) -> Result<(Box<dyn Series>, Scene)> {
+    if scene.render.preview == 1 {
+        return Ok((series, scene));
+    }
+    let range = match scene.field.range {
+        RangeKey::Fixed(range) => Some(range),
+        RangeKey::Over(_) => range,
+    };
+    let Some(range) = range else {
+        let message = "a preview wants values that are known beforehand; allowed: \"series\" or [lo, hi]";
+        return Err(Error::scene("field.range", message));
+    };
+    let preview = Preview::new(series, scene.render.preview, &scene, range)?;
+    let scene = preview.scene(&scene);
+    Ok((Box::new(preview), scene))
 }
 
 /// Opens one sink for each target. `labels` are the field's name, its units and those of time, for pictures.

@@ -173,7 +173,23 @@ impl Session {
     }
 
     /// Lights and renders one step.
+    ///
+    /// Where a device fails or has no memory left, another one goes on ([`Device::instead`]), from a cold start; that is said in
+    /// the log.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
+        loop {
+            let failed = match self.advance_once(&step) {
+                Err(e @ (Error::Device(_) | Error::OutOfMemory { .. })) => e,
+                done => return done,
+            };
+            let Some(next) = self.device.instead() else { return Err(failed) };
+            tracing::warn!("step {}: {failed}\n  going on with {}", step.step, next.name());
+            self.state = None;
+            self.device = next;
+        }
+    }
+
+    fn advance_once(&mut self, step: &Timestep) -> Result<Output> {
         let device = &*self.device;
         let state = match &mut self.state {
             Some(state) => state,
@@ -195,7 +211,7 @@ impl Session {
         // Gone with a step that fails: then nobody knows what changed since.
         let mut kept = std::mem::take(&mut state.kept).into_iter();
         let mut clock = Clock::start();
-        let (holes, seen) = state.medium.take(device, &step)?;
+        let (holes, seen) = state.medium.take(device, step)?;
         let range = self.range.unwrap_or_else(|| running(self.scene.field.range, &mut self.seen, seen));
         state.medium.classify(self.transfer.table(range, step.grid.mean_spacing()));
         let classify_ms = clock.lap();

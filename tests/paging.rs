@@ -2,15 +2,17 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 use gloaming::device::Device;
 use gloaming::device::cpu::Cpu;
 use gloaming::device::paged::Paged;
 use gloaming::field::{Dense, Field, Timestep};
+use gloaming::pipeline::{self, Job};
 use gloaming::scene::Scene;
 use gloaming::session::Session;
-use gloaming::sink::Output;
+use gloaming::sink::{self, Output};
+use gloaming::source::{self, SourceSpec};
 use gloaming::{Error, Grid, Region, Result, memory};
 
 /// Blobs in empty space, with a hole; `t` moves one of them.
@@ -74,8 +76,8 @@ fn cpu() -> Arc<dyn Device> {
     Arc::new(Cpu::new(2).unwrap())
 }
 
-fn paged(budget: u64) -> Arc<Paged> {
-    Arc::new(Paged::new(cpu(), budget, &std::env::temp_dir()))
+fn paged(inner: Arc<dyn Device>, budget: u64) -> Arc<Paged> {
+    Arc::new(Paged::new(inner, budget, &std::env::temp_dir()))
 }
 
 /// Lights and renders `steps` steps.
@@ -93,15 +95,20 @@ fn bits(output: &Output) -> Vec<u32> {
 
 /// The least budget, more, and much more.
 fn assert_same_for_every_budget(sets: &[&str], size: [usize; 3]) {
+    assert_same_on(&cpu(), sets, size);
+}
+
+fn assert_same_on(inner: &Arc<dyn Device>, sets: &[&str], size: [usize; 3]) {
     let scene = scene(sets);
-    let whole = light(cpu(), &scene, size, 2).unwrap();
+    let whole = light(inner.clone(), &scene, size, 2).unwrap();
     assert!(
         whole[0].frames.iter().all(|v| v.frame.pixels.as_flattened().iter().any(|p| *p > 0.01)),
         "something to see"
     );
     let least = memory::smallest(&scene, &grid(size)).unwrap();
     for budget in [least, least + least / 3, 3 * least, 20 * least] {
-        let part = light(paged(budget), &scene, size, 2).unwrap_or_else(|e| panic!("{sets:?} in {budget}: {e}"));
+        let part = light(paged(inner.clone(), budget), &scene, size, 2)
+            .unwrap_or_else(|e| panic!("{sets:?} in {budget}: {e}"));
         for (step, (w, p)) in whole.iter().zip(&part).enumerate() {
             assert!(bits(w) == bits(p), "{sets:?}, {size:?}, step {step}, {budget} bytes");
             assert_eq!(w.row.holes, p.row.holes);
@@ -178,12 +185,29 @@ fn cameras_inside_and_outside_are_the_same_to_the_bit() {
     }
 }
 
+/// The kernels of GPUs, on software Vulkan unless `GLOAMING_TEST_DEVICE` names another adapter.
+#[test]
+#[cfg(feature = "gpu")]
+fn a_gpu_gives_the_same_to_the_bit() {
+    let name = std::env::var("GLOAMING_TEST_DEVICE").unwrap_or("llvmpipe".into());
+    let gpu = gloaming::device::open(&name, 0).expect("apt-get install mesa-vulkan-drivers libvulkan1");
+    let eye = ["cameras.0.position=[10.1, 9.0, 12.0]", "cameras.0.fov=70", "render.shading=phong"];
+    for (direction, more) in [("[0.3, 0.5, -0.8]", &[][..]), ("[0.9, 0.2, 0.3]", &eye), ("[0.1, -0.9, -0.3]", &[])] {
+        let direction = format!("lights.0.direction={direction}");
+        let sets = [&[&direction, "light.scattering=false", "lights.1.direction=[0.2, 0.1, 0.9]"][..], more].concat();
+        assert_same_on(&gpu, &sets, [19, 24, 33]);
+    }
+    let sets =
+        [LIGHT, "light.resolution=0.25", "light.directions=8", "light.warm=false", "light.direct_resolution=0.4"];
+    assert_same_on(&gpu, &sets, [19, 24, 33]);
+}
+
 #[test]
 fn data_are_read_once_a_pass_and_a_slab_at_a_time() {
     let (scene, size) = (scene(&[LIGHT, "light.scattering=false"]), [24, 32, 200]);
     let field = counted(size, 0.0);
     let budget = 2 * memory::smallest(&scene, &grid(size)).unwrap();
-    let mut session = Session::new(paged(budget), scene, Some([0.0, 1.0]), false).unwrap();
+    let mut session = Session::new(paged(cpu(), budget), scene, Some([0.0, 1.0]), false).unwrap();
     session.advance(Timestep { step: 0, time: None, grid: grid(size), field: field.clone() }).unwrap();
     let passes = field.bytes.load(Ordering::Relaxed) as f64 / (4.0 * grid(size).len() as f64);
     // Brick ranges, light, rays; the empty ends are not even looked at by rays.
@@ -203,7 +227,7 @@ fn too_little_memory_names_what_is_enough() {
         assert!(device.pages(), "{}", device.name());
         light(device, &scene, ODD, 1).unwrap();
         // Well below it the device itself says so.
-        assert!(matches!(light(paged(needed / 4), &scene, ODD, 1), Err(Error::OutOfMemory { .. })));
+        assert!(matches!(light(paged(cpu(), needed / 4), &scene, ODD, 1), Err(Error::OutOfMemory { .. })));
     }
 }
 
@@ -213,4 +237,48 @@ fn no_scratch_folder_is_an_error_that_names_it() {
     let scene = scene(&[LIGHT, "light.scattering=false"]);
     let why = light(nowhere, &scene, [64, 64, 64], 1).map(|_| ()).unwrap_err().to_string();
     assert!(why.contains("/no/such/folder"), "{why}");
+}
+
+/// A preview is a picture of the same thing, and says in the file that it is one.
+#[test]
+fn a_preview_is_near_the_whole_and_says_so() {
+    let out = tempfile::tempdir().unwrap();
+    let smoke = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/smoke.h5");
+    let picture = |factor: usize| {
+        let sets = [
+            format!("render.preview={factor}"),
+            "render.size=[96, 96]".into(),
+            "light.scattering=false".into(),
+            "field.range=[0, 1]".into(),
+            // Thin, and of one colour: bright edges of opaque smoke are what blocks must blur.
+            "transfer.colormap=white".into(),
+            "transfer.extinction=0.3".into(),
+        ];
+        let target = out.path().join(format!("preview_{factor}.exr"));
+        let job = Job {
+            series: source::open(&SourceSpec { series: vec![smoke.into()], ..Default::default() }).unwrap(),
+            indices: vec![40],
+            scene: Scene::load(None, &sets).unwrap(),
+            device: cpu(),
+            outputs: vec![target.to_str().unwrap().into()],
+            ledger: None,
+        };
+        pipeline::run(job, &AtomicBool::new(false), &mut |_| ()).unwrap();
+        let header = &exr::meta::MetaData::read_from_file(&target, true).unwrap().headers[0];
+        let mark = header.own_attributes.other.get(&exr::meta::attribute::Text::from("previewBlocks")).cloned();
+        (sink::exr::read(&target).unwrap().pixels, mark)
+    };
+    let (whole, mark) = picture(1);
+    assert_eq!(mark, None);
+    let mean = whole.iter().map(|p| f64::from(p[1])).sum::<f64>() / whole.len() as f64;
+    let mut before = 0.0;
+    for factor in [2, 3] {
+        let (blocks, mark) = picture(factor);
+        assert_eq!(mark, Some(exr::meta::attribute::AttributeValue::I32(factor as i32)));
+        let squares: f64 = whole.iter().zip(&blocks).map(|(a, b)| f64::from(a[1] - b[1]).powi(2)).sum();
+        let error = (squares / whole.len() as f64).sqrt() / mean;
+        // What blocks blur away, and more of it with larger blocks: 0.24 and 0.43 of the mean, most of the picture being black.
+        assert!(error < 0.5 && error > before, "{error} of the mean at {factor}");
+        before = error;
+    }
 }

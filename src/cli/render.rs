@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use gloaming::memory;
 use gloaming::pipeline::{self, Job, Summary};
 use gloaming::scene::{ComponentKey, Scene};
 use gloaming::source::follow::{Following, Patience};
 use gloaming::source::{self, SourceSpec};
+use gloaming::{memory, preview};
 use indicatif::{HumanDuration, MultiProgress};
 
 use super::Done;
@@ -71,6 +71,9 @@ pub struct RenderArgs {
     /// fit going to a file in TMPDIR. Else what the machine has available
     #[arg(long, value_name = "SIZE", value_parser = parse::bytes)]
     memory: Option<u64>,
+    /// Show means over blocks of voxels, small enough to fit into --memory (or that the machine has); pictures say so
+    #[arg(long)]
+    preview: bool,
     /// How light travels
     #[arg(long)]
     model: Option<Model>,
@@ -149,7 +152,7 @@ const KEEP: u64 = 256 << 20;
 
 /// Runs the command.
 pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result<Done> {
-    let scene = args.scene()?;
+    let mut scene = args.scene()?;
     let stop = stop_on_interrupt()?;
     let RenderArgs {
         series,
@@ -157,6 +160,7 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         steps,
         device,
         memory: budget,
+        preview,
         ledger,
         light_state,
         follow,
@@ -164,7 +168,8 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         resume,
         ..
     } = args;
-    let spec = spec(series, &scene);
+    let budget = budget.or_else(memory::available);
+    let spec = SourceSpec { memory: budget, ..spec(series, &scene) };
     let (series, follow) = if follow {
         let patience = Patience { idle: idle_timeout, ..Default::default() };
         if !quiet {
@@ -184,9 +189,12 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         let (first, last) = (numbers.iter().min().unwrap_or(&0), numbers.iter().max().unwrap_or(&0));
         anyhow::bail!("--steps selects none of the {} steps, which are numbered {first} to {last}", numbers.len());
     }
+    if preview {
+        scene.render.preview = memory::preview(&scene, &series.grid(), budget)?;
+    }
     let device = gloaming::device::open(&device, 0)?;
-    let budget = budget.or_else(memory::available);
     let grid = series.grid();
+    let grid = grid.resized(preview::size(grid.size, scene.render.preview));
     let device = match budget {
         Some(budget) => memory::fit(device, &scene, &grid, budget, &scratch_folder(&out[0]))?,
         None => device,

@@ -38,6 +38,6 @@ impl SeriesArgs {
     /// What to open.
     pub fn spec(self) -> SourceSpec {
         let SeriesArgs { series, field, axes, spacing, origin, time_step, raw, level } = self;
-        SourceSpec { series, field, component: None, axes, spacing, origin, time_step, raw, level }
+        SourceSpec { series, field, component: None, axes, spacing, origin, time_step, raw, level, memory: None }
     }
 }

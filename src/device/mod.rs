@@ -549,6 +549,16 @@ pub trait Device: Send + Sync {
     /// Name for people: `cpu (AVX-512, 2 threads)` or the adapter's name.
     fn name(&self) -> String;
 
+    /// Bytes of the largest buffer that kernels can work on.
+    fn largest(&self) -> u64 {
+        u64::MAX
+    }
+
+    /// What to go on with when this device fails or has no memory left, if anything.
+    fn instead(&self) -> Option<Arc<dyn Device>> {
+        None
+    }
+
     /// A zeroed buffer of `len` values.
     fn alloc(&self, len: usize) -> Result<Buffer>;
 
@@ -614,6 +624,18 @@ pub trait Device: Send + Sync {
         light: &Slab,
         out: &mut Buffer,
     ) -> Result<()>;
+
+    /// [`Device::classify`] for several properties on one grid: where data have to be read, reading them once may serve all.
+    fn classify_each(
+        &self,
+        optics: &mut [(Optic, &mut Buffer)],
+        table: &Table,
+        data: [usize; 3],
+        field: &Buffer,
+        size: [usize; 3],
+    ) -> Result<()> {
+        optics.iter_mut().try_for_each(|(optic, out)| self.classify(*optic, table, data, field, size, out))
+    }
 
     /// Smallest and largest value of each brick with a halo of one value, holes left out (`[+∞, −∞]` when nothing else).
     fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>>;

@@ -427,16 +427,11 @@ impl Physical {
             });
         }
         let optics = self.optics.as_mut().expect("just made");
-        let classify = |optic, out: &mut Buffer| {
-            device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.coarse.size, out)
-        };
-        classify(Optic::ScaledExtinction { f }, &mut optics.sigma)?;
-        for (channel, out) in optics.scattering.iter_mut().enumerate() {
-            classify(Optic::Scattering { channel }, out)?;
-        }
-        for (channel, out) in optics.emission.iter_mut().enumerate() {
-            classify(Optic::Emission { channel }, out)?;
-        }
+        let Optics { sigma, scattering, emission, .. } = optics;
+        let mut wanted = vec![(Optic::ScaledExtinction { f }, sigma)];
+        wanted.extend(scattering.iter_mut().enumerate().map(|(channel, out)| (Optic::Scattering { channel }, out)));
+        wanted.extend(emission.iter_mut().enumerate().map(|(channel, out)| (Optic::Emission { channel }, out)));
+        device.classify_each(&mut wanted, &medium.table, medium.grid.size, &medium.field, self.coarse.size)?;
         for ((source, direct), out) in volume.direct.iter().zip(&mut optics.first) {
             let fine = match (&source.lamp, &mut self.lit) {
                 (Some(lamp), Some(lit)) => {

@@ -65,7 +65,7 @@ pub(super) fn pass(
         let mut range = pass.range;
         let read = (0..nz).step_by(deep).try_for_each(|z| {
             let slab = Slab { size: step.grid.size, planes: z..(z + deep).min(nz) };
-            field::read_planes(&*step.field, &slab, &mut values)?;
+            field::read_planes(&*step.field, &slab, &mut values, false)?;
             range = widest(range, range_of(&values[..slab.len()]));
             Ok::<_, Error>(())
         });

@@ -56,6 +56,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("render.kind", "\"raycast\" (\"pathtrace\", \"isosurface\" and \"slices\" are to come)"),
     ("render.size", "[width, height], integers from 1 to 16384"),
     ("render.step", "a length in voxels above 0, at most 16"),
+    ("render.preview", "an integer from 1, the data themselves, to 64"),
     ("render.samples", "an integer, 1 or more"),
     ("render.shading", "\"none\" or \"phong\""),
     ("render.ambient", "a finite number, 0 or more"),

@@ -435,6 +435,8 @@ pub struct RenderKeys {
     pub tonemap: Tonemap,
     /// Drawn on PNG and MP4: time, colorbar, axes.
     pub overlay: Vec<Overlay>,
+    /// Show means over blocks of so many voxels along each axis, marked as a preview; 1 shows the data.
+    pub preview: usize,
 }
 
 impl Default for RenderKeys {
@@ -453,6 +455,7 @@ impl Default for RenderKeys {
             exposure: 1.0,
             tonemap: Tonemap::Srgb,
             overlay: vec![],
+            preview: 1,
         }
     }
 }

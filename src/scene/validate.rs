@@ -171,6 +171,7 @@ fn render(keys: &RenderKeys) -> Result<()> {
     }
     require(keys.size.iter().all(|n| (1..=16384).contains(n)), "render.size", keys.size)?;
     require(keys.step > 0.0 && keys.step <= 16.0, "render.step", keys.step)?;
+    require((1..=64).contains(&keys.preview), "render.preview", keys.preview)?;
     require(keys.samples > 0, "render.samples", keys.samples)?;
     require(nonnegative(keys.ambient), "render.ambient", keys.ambient)?;
     require(nonnegative(keys.diffuse), "render.diffuse", keys.diffuse)?;

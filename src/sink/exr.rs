@@ -11,6 +11,7 @@
 //! | `right`, `up`, `forward` | v3f | view axes in world space |
 //! | `verticalFov` | float | vertical field of view in degrees |
 //! | `fieldRange` | v2f | data values at 0 and 1 of the transfer function |
+//! | `previewBlocks` | int | voxels along the edge of the blocks that a preview shows; absent when it is none |
 //! | `software` | string | `gloaming` and its version |
 
 use std::path::{Path, PathBuf};
@@ -39,7 +40,7 @@ impl Exr {
 impl super::Sink for Exr {
     fn write(&mut self, output: &Output) -> Result<()> {
         for view in &output.frames {
-            write(&self.template.path(output.step, &view.camera), output, view, &self.options.software)?;
+            write(&self.template.path(output.step, &view.camera), output, view, &self.options)?;
         }
         Ok(())
     }
@@ -53,23 +54,27 @@ impl super::Sink for Exr {
     }
 }
 
-fn write(path: &Path, output: &Output, view: &View, software: &str) -> Result<()> {
+fn write(path: &Path, output: &Output, view: &View, options: &SinkOptions) -> Result<()> {
     let Frame { size: [width, height], pixels } = &view.frame;
     let channels = SpecificChannels::rgba(|at: Vec2<usize>| {
         let [r, g, b, a] = pixels[at.y() * width + at.x()];
         (r, g, b, a)
     });
-    let layer = Layer::new((*width, *height), attributes(output, view, software), Encoding::SMALL_LOSSLESS, channels);
+    let layer = Layer::new((*width, *height), attributes(output, view, options), Encoding::SMALL_LOSSLESS, channels);
     write_whole(path, |writer| Image::from_layer(layer).write().to_buffered(writer).map_err(|e| named(path, e)))
 }
 
-fn attributes(output: &Output, view: &View, software: &str) -> LayerAttributes {
+fn attributes(output: &Output, view: &View, options: &SinkOptions) -> LayerAttributes {
     let vector = |[x, y, z]: [f32; 3]| AttributeValue::FloatVec3((x, y, z));
+    let software = &*options.software;
     let mut attributes = LayerAttributes { software_name: Some(Text::new_or_panic(software)), ..Default::default() };
     let mut add = |name: &str, value| attributes.other.insert(Text::new_or_panic(name), value);
     add("step", i32::try_from(output.step).map_or_else(|_| text(&output.step.to_string()), AttributeValue::I32));
     if let Some(time) = output.time {
         add("time", AttributeValue::F64(time));
+    }
+    if options.preview > 1 {
+        add("previewBlocks", AttributeValue::I32(options.preview as i32));
     }
     add("camera", text(&view.camera));
     add("eye", vector(view.eye));

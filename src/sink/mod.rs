@@ -117,6 +117,8 @@ pub struct SinkOptions {
     pub display: Display,
     /// What is drawn on 8-bit pictures.
     pub overlay: Vec<Overlay>,
+    /// Voxels along the edge of the blocks that a preview shows; 1 when it is none.
+    pub preview: usize,
     /// Colours of the colour bar from 0 to 1 of the range, sRGB-encoded in 0..1 as colour maps are published.
     pub colors: [[f32; 3]; 256],
     /// Name of the field, over the colour bar; may be empty.
@@ -147,6 +149,7 @@ impl From<&Scene> for SinkOptions {
             quality: scene.movie.quality,
             display: Display::from(&scene.render),
             overlay: scene.render.overlay.clone(),
+            preview: scene.render.preview,
             colors: std::array::from_fn(|i| [i as f32 / 255.0; 3]),
             field: scene.field.name.clone().unwrap_or_default(),
             units: String::new(),

@@ -1,4 +1,4 @@
-//! What is drawn on 8-bit pictures: step and time, a colour bar, a triad of the world axes. Sizes follow the height of the
+//! What is drawn on 8-bit pictures: step and time, a colour bar, a triad of the world axes, and top right that it is a preview. Sizes follow the height of the
 //! picture; light ink on a dark background and dark ink on a bright one, with a halo against what is behind.
 
 use image::{Rgb, RgbImage};
@@ -15,6 +15,11 @@ use ticks::{Ticks, significant};
 /// Draws the overlays that the options ask for.
 pub(super) fn draw(picture: &mut RgbImage, options: &SinkOptions, output: &Output, view: &View) {
     let sheet = Sheet::new(picture, options);
+    if options.preview > 1 {
+        let text = format!("preview: blocks of {} voxels", options.preview);
+        let left = sheet.width - sheet.margin - sheet.face.width(&text);
+        sheet.print(picture, sheet.face, [left, sheet.margin], &text, sheet.ink);
+    }
     for overlay in &options.overlay {
         match overlay {
             Overlay::Time => time(picture, &sheet, options, output),

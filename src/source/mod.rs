@@ -84,6 +84,8 @@ pub struct SourceSpec {
     pub raw: Option<String>,
     /// Level of refinement to bring a mesh to, 0 the coarsest; the finest when absent.
     pub level: Option<usize>,
+    /// Bytes that the run may take in all; a quarter may go to decoded parts of files.
+    pub memory: Option<u64>,
 }
 
 /// What was found, from metadata alone.

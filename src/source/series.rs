@@ -91,7 +91,13 @@ impl Planned {
             even
         });
         info.steps = steps.iter().map(|s| StepInfo { step: s.step, time: s.time }).collect();
-        Ok(Planned { info, steps, spacing: spec.spacing, origin: spec.origin, opened: Arc::default() })
+        Ok(Planned {
+            info,
+            steps,
+            spacing: spec.spacing,
+            origin: spec.origin,
+            opened: Arc::new(h5::Opened::new(spec.memory)),
+        })
     }
 
     /// The step on the file's own grid.

@@ -32,6 +32,47 @@ impl Table {
         if self.hi > self.lo { 1.0 / (self.hi - self.lo) } else { 0.0 }
     }
 
+    /// The extinction of a data value that is no hole, as kernels read it.
+    pub fn extinction_of(&self, value: f32) -> f32 {
+        let last = self.extinction.len() - 1;
+        let at = self.normalise(value) * last as f32;
+        let i = (at as usize).min(last.saturating_sub(1));
+        self.extinction[i] + (at - i as f32) * (self.extinction[(i + 1).min(last)] - self.extinction[i])
+    }
+
+    /// The data value nearest to `value` that has this extinction; the one whose extinction is nearest, where none has it.
+    pub fn nearest_with(&self, extinction: f32, value: f32) -> f32 {
+        let last = self.extinction.len() - 1;
+        let at = self.normalise(value) * last as f32;
+        // Where a segment of the table takes on the extinction, nearest to `at`.
+        let within = |i: usize| {
+            let (a, b) = (self.extinction[i], self.extinction[i + 1]);
+            let inside = a.min(b) <= extinction && extinction <= a.max(b);
+            inside.then(
+                || if a == b { at.clamp(i as f32, (i + 1) as f32) } else { i as f32 + (extinction - a) / (b - a) },
+            )
+        };
+        let own = (at as usize).min(last.saturating_sub(1));
+        let mut best: Option<f32> = None;
+        for away in 0..last {
+            // No segment farther away can be nearer.
+            if best.is_some_and(|b| (b - at).abs() < away as f32 - 1.0) {
+                break;
+            }
+            let sides = [own.checked_sub(away), Some(own + away).filter(|&i| i < last)];
+            for found in sides.into_iter().flatten().filter_map(within) {
+                if best.is_none_or(|b| (found - at).abs() < (b - at).abs()) {
+                    best = Some(found);
+                }
+            }
+        }
+        let entry = best.unwrap_or_else(|| {
+            let off = |i: &usize| (self.extinction[*i] - extinction).abs();
+            (0..=last).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0) as f32
+        });
+        self.lo + entry / last.max(1) as f32 * (self.hi - self.lo)
+    }
+
     /// The albedo, when it is the same for every value.
     pub fn constant_albedo(&self) -> Option<[f32; 3]> {
         self.albedo.iter().all(|a| *a == self.albedo[0]).then(|| self.albedo[0])

@@ -30,7 +30,7 @@ impl Series {
         level: Option<usize>,
     ) -> PyResult<Series> {
         let (spacing, origin, time_step) = place;
-        let spec = SourceSpec { series, field, component, axes, spacing, origin, time_step, raw, level };
+        let spec = SourceSpec { series, field, component, axes, spacing, origin, time_step, raw, level, memory: None };
         Ok(Series { series: patiently(py, move || source::open(&spec))?.into() })
     }
 

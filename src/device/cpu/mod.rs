@@ -10,7 +10,7 @@ use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
 pub(crate) mod bricks;
-mod classify;
+pub(crate) mod classify;
 mod combine;
 mod compose;
 mod convect;
@@ -84,10 +84,9 @@ impl Device for Cpu {
     }
 
     fn alloc(&self, len: usize) -> Result<Buffer> {
-        let mut values = Vec::new();
-        values.try_reserve_exact(len).map_err(|_| Error::OutOfMemory { needed: 4 * len as u64, budget: 0 })?;
-        values.resize(len, 0.0);
-        Ok(Buffer(Storage::Host(values)))
+        // Zeroed by the system, which provides pages only when they are first written.
+        let values = bytemuck::allocation::try_zeroed_vec(len);
+        Ok(Buffer(Storage::Host(values.map_err(|()| Error::OutOfMemory { needed: 4 * len as u64, budget: 0 })?)))
     }
 
     fn upload(&self, values: &[f32], into: &mut Buffer) -> Result<()> {

@@ -123,7 +123,7 @@ impl Gpu {
 
     /// A zeroed buffer of `bytes`, which kernels can bind whole.
     fn raw(&self, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer> {
-        let budget = self.report.max_binding.min(self.report.max_buffer);
+        let budget = self.largest();
         if bytes > budget {
             return Err(Error::OutOfMemory { needed: bytes, budget });
         }
@@ -307,6 +307,14 @@ fn holds(buffer: &Buffer, values: usize) -> Result<&wgpu::Buffer> {
 impl Device for Gpu {
     fn name(&self) -> String {
         format!("{} ({})", self.report.name, self.report.backend)
+    }
+
+    fn largest(&self) -> u64 {
+        self.report.max_binding.min(self.report.max_buffer)
+    }
+
+    fn instead(&self) -> Option<Arc<dyn Device>> {
+        Some(Arc::new(crate::device::cpu::Cpu::new(0).ok()?))
     }
 
     fn alloc(&self, len: usize) -> Result<Buffer> {
@@ -497,6 +505,30 @@ impl Device for Gpu {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A step goes on where the device that it was lit on is gone, and comes out as on what it goes on with.
+    #[test]
+    fn a_step_outlives_its_device() {
+        use crate::field::{Dense, Timestep};
+        use crate::{grid::Grid, scene::Scene, session::Session};
+        let gpu = Gpu::open(Some("lavapipe")).expect("software Vulkan: apt-get install mesa-vulkan-drivers libvulkan1");
+        gpu.device.destroy();
+        let grid = Grid::new([12, 9, 10]);
+        let values: Vec<f32> = (0..grid.len()).map(|i| (i % 12) as f32 / 12.0).collect();
+        let field = Arc::new(Dense::new(grid.size, values));
+        let scene = Scene::load(None, &["render.size=[16, 16]".into(), "light.scattering=false".into()]).unwrap();
+        let step = Timestep { step: 3, time: None, grid, field };
+        let paged = crate::device::paged::Paged::new(Arc::new(gpu), 1 << 20, &std::env::temp_dir());
+        let light = |device: Arc<dyn Device>| {
+            let mut session = Session::new(device, scene.clone(), Some([0.0, 1.0]), true).unwrap();
+            let [first, second] = [0, 1].map(|_| session.advance(step.clone()).unwrap());
+            assert_eq!(first.frames[0].frame, second.frames[0].frame);
+            first.frames[0].frame.clone()
+        };
+        let frame = light(Arc::new(paged));
+        assert!(frame.pixels.iter().any(|p| p[3] > 0.1));
+        assert_eq!(frame, light(Arc::new(crate::device::cpu::Cpu::new(0).unwrap())));
+    }
 
     /// A device that is gone answers every call with an error that says so, from the first one on that waits for it.
     #[test]

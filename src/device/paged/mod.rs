@@ -44,6 +44,9 @@ pub struct Paged {
     read: AtomicU64,
 }
 
+/// Budget in bytes below which a device that fails is given up.
+const LEAST: u64 = 128 << 20;
+
 /// Slabs that a pass takes at least where there are planes enough, so that reading and working overlap.
 const SLABS: usize = 6;
 
@@ -65,7 +68,8 @@ impl Paged {
     /// shares with its neighbours and whatever else is held meanwhile.
     fn depth(&self, total: usize, each: f64, more: f64) -> Result<usize> {
         let held = self.resident.load(Ordering::Relaxed);
-        let free = self.budget.saturating_sub(held) as f64 / 4.0;
+        // No single buffer of a slab takes more than all that is counted for a plane.
+        let free = self.budget.saturating_sub(held).min(self.inner.largest()) as f64 / 4.0;
         let deepest = ((free - more) / each.max(1.0)).floor();
         if deepest < 1.0 {
             let needed = held + (4.0 * (each + more)).ceil() as u64;
@@ -225,6 +229,16 @@ impl Device for Paged {
         true
     }
 
+    /// Half as much at a time on the same device, down to an eighth of a GiB; then what would go on with that device's work.
+    fn instead(&self) -> Option<Arc<dyn Device>> {
+        let other = self.inner.instead()?;
+        let (inner, budget) = match self.budget / 2 {
+            half if half >= LEAST => (self.inner.clone(), half),
+            _ => (other, self.budget.max(LEAST)),
+        };
+        Some(Arc::new(Paged::new(inner, budget, &self.folder)))
+    }
+
     fn alloc(&self, len: usize) -> Result<Buffer> {
         Ok(Buffer(Storage::Paged(Box::new(Store::new(len, Content::Zero)))))
     }
@@ -258,8 +272,9 @@ impl Device for Paged {
         _: &mut Vec<f32>,
         into: &mut Buffer,
     ) -> Result<(u64, Vec<[f32; 2]>)> {
-        let data = Data { field: field.clone(), size: grid.size };
+        let mut data = Data { field: field.clone(), size: grid.size, clean: false };
         let taken = self.look_through(&data, bricks)?;
+        data.clean = taken.0 == 0;
         *store_mut(into) = Store::new(grid.len(), Content::Data(data));
         Ok(taken)
     }
@@ -294,6 +309,44 @@ impl Device for Paged {
             |p| p,
             |v, slab, out| self.inner.copy(v, 0, slab.len(), out, 0),
         )
+    }
+
+    fn classify_each(
+        &self,
+        optics: &mut [(Optic, &mut Buffer)],
+        table: &Table,
+        data: [usize; 3],
+        field: &Buffer,
+        size: [usize; 3],
+    ) -> Result<()> {
+        let plane = size[0] * size[1];
+        let of = store(field);
+        let bytes: usize = optics.iter().map(|(_, out)| 4 * out.len()).sum();
+        let held = self.resident.load(Ordering::Relaxed);
+        let each = Feed::weight(of, data, size[2]) + plane as f64;
+        let more = 4.0 * (data[0] * data[1]) as f64;
+        if held + bytes as u64 + (4.0 * (each + more)) as u64 > self.budget {
+            return optics.iter_mut().try_for_each(|(o, out)| self.classify(*o, table, data, field, size, out));
+        }
+        for (_, out) in optics.iter_mut() {
+            let out = store_mut(out);
+            if !matches!(out.content, Content::Resident(..)) {
+                let (buffer, held) = self.hold(out.len)?;
+                *out = Store::new(out.len, Content::Resident(buffer, held));
+            }
+        }
+        let depth = self.depth(size[2], each, more)?;
+        let slabs = slabs(size[2], depth);
+        let light = |n: usize| Slab { size, planes: slabs[n].clone() };
+        let planes: Vec<_> = (0..slabs.len()).map(|n| light(n).under(data[2])).collect();
+        let mut made = self.inner.alloc(plane * depth)?;
+        self.stream(&[Feed { store: of, size: data, planes: planes.clone() }], |n, volumes| {
+            let (light, data) = (light(n), Slab { size: data, planes: planes[n].clone() });
+            optics.iter_mut().try_for_each(|(optic, out)| {
+                self.inner.classify_slab(*optic, table, &data, volumes[0], &light, &mut made)?;
+                self.put(&made, 0, light.len(), store_mut(out), light.planes.start * plane)
+            })
+        })
     }
 
     fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
@@ -492,15 +545,12 @@ impl Paged {
     fn look_through(&self, data: &Data, layout: &BrickLayout) -> Result<(u64, Vec<[f32; 2]>)> {
         let [nx, ny, nz] = data.size;
         let plane = nx * ny;
-        let depth = self.depth(nz, plane as f64, 0.0)?;
-        let mut values = vec![0.0; plane * depth];
-        let (mut holes, mut ranges) = (0, vec![[f32::INFINITY, f32::NEG_INFINITY]; layout.len()]);
+        let depth = self.depth(nz, 2.0 * plane as f64, 0.0)?;
+        let mut ranges = vec![[f32::INFINITY, f32::NEG_INFINITY]; layout.len()];
         let flat = BrickLayout::new([nx, ny, 1], layout.edge);
         let across = flat.len();
-        for planes in slabs(nz, depth) {
-            let slab = Slab { size: data.size, planes };
-            holes += data.read(&slab, &mut values, &self.read)?;
-            for (z, values) in slab.planes.zip(values.chunks_exact(plane)) {
+        let mut look = |planes: Range<usize>, values: &[f32]| {
+            for (z, values) in planes.zip(values.chunks_exact(plane)) {
                 // A brick sees one plane more on both sides.
                 let (from, to) = (z.saturating_sub(1) / layout.edge, (z + 1).min(nz - 1) / layout.edge);
                 let here = cpu::bricks::brick_range(&flat, values);
@@ -509,6 +559,19 @@ impl Paged {
                     of.iter_mut().zip(&here).for_each(|(r, h)| *r = [r[0].min(h[0]), r[1].max(h[1])]);
                 }
             }
+        };
+        let read = |planes: &Range<usize>, out: &mut [f32]| {
+            data.read(&Slab { size: data.size, planes: planes.clone() }, out, &self.read)
+        };
+        let slabs = slabs(nz, depth);
+        let [mut now, mut next] = [vec![0.0; plane * depth], vec![0.0; plane * depth]];
+        let mut holes = read(&slabs[0], &mut now)?;
+        for (n, planes) in slabs.iter().enumerate() {
+            let ahead = slabs.get(n + 1);
+            let (read, ()) =
+                rayon::join(|| ahead.map_or(Ok(0), |planes| read(planes, &mut next)), || look(planes.clone(), &now));
+            holes += read?;
+            std::mem::swap(&mut now, &mut next);
         }
         Ok((holes, ranges))
     }

@@ -40,6 +40,8 @@ pub(super) enum Content {
 pub(super) struct Data {
     pub field: Arc<dyn Field>,
     pub size: [usize; 3],
+    /// True where all has been looked through, and no hole was there.
+    pub clean: bool,
 }
 
 /// A property of the medium, computed when it is read.
@@ -73,6 +75,6 @@ impl Data {
     /// Reads planes, holes marked; adds what was read to `bytes`, and returns the number of holes.
     pub fn read(&self, slab: &Slab, out: &mut [f32], bytes: &AtomicU64) -> Result<u64> {
         bytes.fetch_add(4 * slab.len() as u64, Ordering::Relaxed);
-        field::read_planes(&*self.field, slab, out)
+        field::read_planes(&*self.field, slab, out, self.clean)
     }
 }

@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use rayon::prelude::*;
 
 use super::Paged;
 use super::store::{Content, Data, Store};
@@ -215,7 +216,7 @@ fn read_ahead(
 ) {
     for n in 0..steps {
         let Ok(mut values) = empty.recv() else { return };
-        let read = readings.iter_mut().zip(&mut values).try_for_each(|(r, out)| r.fill(n, out, paged));
+        let read = readings.par_iter_mut().zip(&mut values).try_for_each(|(r, out)| r.fill(n, out, paged));
         let failed = read.is_err();
         if full.send(read.map(|()| values)).is_err() || failed {
             return;

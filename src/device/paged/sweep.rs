@@ -32,20 +32,22 @@ impl Paged {
                 "light.interpolation = \"cubic\" where a volume does not fit in memory\n  try: {remedy}"
             )));
         }
-        self.sweep_all(sweep, layout, sigma, rho)?;
+        self.sweep_all(layout, sigma, &mut [(*sweep, rho)])?;
         Ok(vec![f32::INFINITY; listed])
     }
 
-    fn sweep_all(&self, sweep: &Sweep, layout: &BrickLayout, sigma: &Buffer, rho: &mut Buffer) -> Result<()> {
-        let [nx, ny, nz] = sweep.size;
+    /// Sweeps for lights that cross planes the same way.
+    fn sweep_all(&self, layout: &BrickLayout, sigma: &Buffer, lights: &mut [(Sweep, &mut Buffer)]) -> Result<()> {
+        let Some((first, _)) = lights.first() else { return Ok(()) };
+        let ([nx, ny, nz], ascending) = (first.size, first.ascending()[2]);
         let plane = nx * ny;
-        let rho = store_mut(rho);
-        self.prepare(rho)?;
+        for (_, rho) in &mut *lights {
+            self.prepare(store_mut(rho))?;
+        }
         let sigma = store(sigma);
-        let each = Feed::weight(sigma, sweep.size, nz) + plane as f64;
-        // σ and ρ of the plane before, once more where it is kept, and data under it.
-        let depth = self.depth(nz, each, each + plane as f64)?;
-        let ascending = sweep.ascending()[2];
+        let each = Feed::weight(sigma, [nx, ny, nz], nz) + plane as f64;
+        // σ and ρ of the plane before and data under it; ρ of that plane once more for each light.
+        let depth = self.depth(nz, each, each + (plane * lights.len()) as f64)?;
         let mut slabs = slabs(nz, depth);
         if !ascending {
             slabs.reverse();
@@ -54,9 +56,9 @@ impl Paged {
             true => s.start.saturating_sub(1)..s.end,
             false => s.start..(s.end + 1).min(nz),
         });
-        let feed = Feed { store: sigma, size: sweep.size, planes: planes.collect() };
+        let feed = Feed { store: sigma, size: [nx, ny, nz], planes: planes.collect() };
         let mut light = self.inner.alloc(plane * (depth + 1).min(nz))?;
-        let mut face = self.inner.alloc(plane)?;
+        let mut faces = lights.iter().map(|_| self.inner.alloc(plane)).collect::<Result<Vec<_>>>()?;
         self.stream(&[feed], |n, volumes| {
             let (slab, given) = (&slabs[n], n > 0);
             let size = [nx, ny, slab.len() + usize::from(given)];
@@ -64,15 +66,18 @@ impl Paged {
             let own = if given && ascending { plane } else { 0 };
             let before = if ascending { 0 } else { plane * slab.len() };
             let last = if ascending { own + plane * (slab.len() - 1) } else { 0 };
-            if given {
-                self.inner.copy(&face, 0, plane, &mut light, before)?;
-            }
             let bricks = BrickLayout::new(size, layout.edge);
-            let fronts = bricks.fronts(sweep.ascending());
-            let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
-            self.inner.sweep(&Sweep { size, given, ..*sweep }, &bricks, volumes[0], &mut light, &fronts)?;
-            self.inner.copy(&light, last, plane, &mut face, 0)?;
-            self.put(&light, own, plane * slab.len(), rho, plane * slab.start)
+            for ((sweep, rho), face) in lights.iter_mut().zip(&mut faces) {
+                if given {
+                    self.inner.copy(face, 0, plane, &mut light, before)?;
+                }
+                let fronts = bricks.fronts(sweep.ascending());
+                let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+                self.inner.sweep(&Sweep { size, given, ..*sweep }, &bricks, volumes[0], &mut light, &fronts)?;
+                self.inner.copy(&light, last, plane, face, 0)?;
+                self.put(&light, own, plane * slab.len(), store_mut(rho), plane * slab.start)?;
+            }
+            Ok(())
         })
     }
 }

@@ -166,7 +166,7 @@ pub(crate) fn open_file(path: &Path, cache: usize) -> Result<File> {
     // 12421 slots: a prime some hundred times the chunks that a cache holds, as the HDF5 manual asks.
     let open = |swmr: bool| {
         let mut options = File::with_options();
-        options.with_fapl(|p| p.chunk_cache(12421, cache.max(1 << 20), 0.75));
+        options.with_fapl(|p| p.chunk_cache(12421, cache, 0.75));
         options.open_as(path, if swmr { hdf5::OpenMode::ReadSWMR } else { hdf5::OpenMode::Read })
     };
     open(false).or_else(|why| open(true).map_err(|_| why)).map_err(|e| open_error(path, &e))

@@ -86,7 +86,7 @@ impl Slab {
     }
 }
 
-/// Decoded chunks kept at most where HDF5 decodes, so that reading brick by brick decodes each chunk once.
+/// Bytes of decoded chunks kept at most where HDF5 decodes, so that reading slab by slab decodes each chunk once.
 const CACHE: usize = 256 << 20;
 
 /// A dataset held open.
@@ -97,15 +97,30 @@ pub(super) struct Held {
 }
 
 /// Datasets held open from one step to the next.
-#[derive(Default)]
-pub(crate) struct Opened(Mutex<VecDeque<(PathBuf, String, Arc<Held>)>>);
+pub(crate) struct Opened {
+    kept: Mutex<VecDeque<(PathBuf, String, Arc<Held>)>>,
+    /// Bytes of decoded chunks kept at most.
+    cache: usize,
+}
+
+impl Default for Opened {
+    fn default() -> Self {
+        Opened::new(None)
+    }
+}
 
 impl Opened {
+    /// Keeps within a quarter of `memory` bytes.
+    pub fn new(memory: Option<u64>) -> Self {
+        let cache = memory.map_or(CACHE, |m| CACHE.min((m / 4) as usize));
+        Opened { kept: Mutex::default(), cache }
+    }
+
     /// Datasets kept: the three components of a vector and one more.
     const KEPT: usize = 4;
 
     pub(super) fn dataset(&self, path: &Path, name: &str, slab: &Slab) -> Result<Arc<Held>> {
-        let mut kept = self.0.lock().unwrap_or_else(|e| e.into_inner());
+        let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
         if let Some((.., held)) = kept.iter().find(|(p, n, _)| p == path && n == name) {
             return Ok(held.clone());
         }
@@ -113,7 +128,7 @@ impl Opened {
         let mut dataset = open(0)?;
         let chunks = if slab.rank >= 3 { Chunks::of(&dataset) } else { None };
         if chunks.is_none() {
-            let cache = cache_bytes(&dataset, slab);
+            let cache = cache_bytes(&dataset, slab, self.cache);
             drop(dataset);
             dataset = open(cache)?;
         }
@@ -126,17 +141,30 @@ impl Opened {
     }
 }
 
-/// Bytes of the chunks that one step touches, at most [`CACHE`] but always one chunk.
-fn cache_bytes(dataset: &Dataset, slab: &Slab) -> usize {
+/// Bytes of chunks to keep decoded, `limit` at most: all of a step's, else those that reading plane after plane comes back to.
+/// Chunks that are stored as they are need no cache: what is wanted of them is read from where it lies.
+fn cache_bytes(dataset: &Dataset, slab: &Slab, limit: usize) -> usize {
     let (Some(chunk), Ok(kind)) = (dataset.chunk(), dataset.dtype()) else { return 0 };
+    if dataset.filters().is_empty() {
+        return 0;
+    }
     let shape = dataset.shape();
     let bytes = chunk.iter().fold(kind.size().max(1), |b, &n| b.saturating_mul(n));
-    let touched = slab
-        .space
-        .iter()
-        .filter(|a| **a < chunk.len())
-        .fold(1usize, |n, &a| n.saturating_mul(shape[a].div_ceil(chunk[a].max(1))));
-    bytes.saturating_mul(touched).min(CACHE).max(bytes)
+    let touched = |axes: &[usize]| {
+        let counts = axes.iter().filter(|a| **a < chunk.len()).map(|&a| shape[a].div_ceil(chunk[a].max(1)));
+        counts.fold(bytes, usize::saturating_mul)
+    };
+    let [x, y, z] = slab.space;
+    let (step, layer) = (touched(&[x, y, z]), touched(&[x, y]));
+    if step > limit && layer > limit {
+        tracing::warn!(
+            "{}: chunks of {} MiB in all lie side by side in a plane; where the memory for them is less, they are decoded \
+             more than once",
+            slab.name(),
+            layer >> 20
+        );
+    }
+    if step <= limit { step } else { layer.min(limit).max(bytes) }
 }
 
 /// Edge of the tiles in which transposed values are copied.
