@@ -262,6 +262,10 @@ fn a_preview_is_near_the_whole_and_says_so() {
             device: cpu(),
             outputs: vec![target.to_str().unwrap().into()],
             ledger: None,
+            follow: None,
+            resume: false,
+            keep: 0,
+            light_state: None,
         };
         pipeline::run(job, &AtomicBool::new(false), &mut |_| ()).unwrap();
         let header = &exr::meta::MetaData::read_from_file(&target, true).unwrap().headers[0];
