@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::scene::{LightKeys, Scene, SolverKeys};
+use crate::scene::{LightKeys, Model, Scene, SolverKeys};
 use crate::sink::{reserve, temporary_beside};
 
 /// Format of the file; others are not read.
@@ -75,6 +75,19 @@ struct Text {
 }
 
 impl LightState {
+    /// What a run of `scene` that keeps its light at `path` starts from: what an earlier one left there, if any.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] for the paper's model; those of [`LightState::read`].
+    pub(crate) fn left_at(path: Option<&Path>, scene: &Scene) -> Result<Option<Self>> {
+        if path.is_some() && scene.light.model == Model::Paper {
+            return Err(Error::Unsupported(
+                "keeping the light of light.model = \"paper\" in a file: \"physical\" can".into(),
+            ));
+        }
+        path.filter(|p| p.exists()).map(Self::read).transpose()
+    }
+
     /// The volume of a name, once.
     pub fn take(&mut self, name: &str) -> Option<Vec<f32>> {
         let at = self.volumes.iter().position(|(n, _)| n == name)?;

@@ -20,7 +20,7 @@ use crate::field::{Dense, Timestep};
 use crate::ledger::{Ledger, LedgerRow};
 use crate::light_state::LightState;
 use crate::preview::Preview;
-use crate::scene::{Model, RangeKey, Scene};
+use crate::scene::{RangeKey, Scene};
 use crate::session::{Session, cameras};
 use crate::sink::{self, Output, Sink, SinkOptions};
 use crate::source::Series;
@@ -105,14 +105,11 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
             "gloaming info SERIES lists the steps",
         ));
     }
-    if light_state.is_some() && scene.light.model == Model::Paper {
-        return Err(Error::Unsupported(
-            "keeping the light of light.model = \"paper\" in a file: \"physical\" can".into(),
-        ));
-    }
-    let kept_light = light_state.as_deref().filter(|p| p.exists()).map(LightState::read).transpose()?;
+    let kept_light = LightState::left_at(light_state.as_deref(), &scene)?;
     if follow.is_some() && scene.render.preview > 1 {
-        return Err(Error::Unsupported("--preview of a series that is followed: leave --follow or --preview out".into()));
+        return Err(Error::Unsupported(
+            "--preview of a series that is followed: leave --follow or --preview out".into(),
+        ));
     }
     // A device that pages is one that has no room for whole steps, and a preview has no use for them.
     let keep = if device.pages() || scene.render.preview > 1 { 0 } else { keep };

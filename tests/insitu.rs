@@ -584,3 +584,32 @@ fn leaks() {
     }
     assert_eq!((count("task"), count("fd")), (threads, files));
 }
+
+/// A restarted run goes on where the one before ended: warm, and with the frames of a run that was never cut.
+#[test]
+fn light_outlives_a_session() {
+    let out = tempfile::tempdir().unwrap();
+    let run = |name: &str, kept: Option<&str>, steps: std::ops::Range<u64>| {
+        let mut scene = scene(out.path(), &[&format!("{name}_{{step:03}}.exr")]);
+        scene.light.tolerance = 0.0;
+        scene.insitu.light_state = kept.map(|file| out.path().join(file));
+        let lit = InSitu::with(scene).open().unwrap();
+        steps.clone().for_each(|step| assert_eq!(lit.push_owned(owned(step)).unwrap(), Taken::Queued));
+        lit.close().unwrap();
+        let starts: Vec<_> = rows(out.path()).iter().map(|r| r.start.clone()).collect();
+        let last = out.path().join(format!("{name}_{:03}.exr", steps.end - 1));
+        (starts, gloaming::sink::exr::read(&last).unwrap().pixels)
+    };
+    let (starts, whole) = run("whole", None, 0..4);
+    assert_eq!(starts, ["cold", "warm", "warm", "warm"]);
+    run("cut", Some("light.h5"), 0..3);
+    let (starts, cut) = run("cut", Some("light.h5"), 3..4);
+    assert_eq!(starts, ["warm"], "the light of the first run is there");
+    assert!(cut == whole);
+
+    let mut paper = scene(out.path(), &["p_{step}.png"]);
+    paper.light.model = gloaming::scene::Model::Paper;
+    paper.insitu.light_state = Some(out.path().join("paper.h5"));
+    let message = InSitu::with(paper).open().err().expect("not kept").to_string();
+    assert!(message.contains("physical"), "{message}");
+}

@@ -16,6 +16,7 @@ use crate::device::{self, Device};
 use crate::error::{Error, Result, panic_text};
 use crate::field::Timestep;
 use crate::ledger::{Ledger, LedgerRow};
+use crate::light_state::LightState;
 use crate::pipeline::open_sinks;
 use crate::scene::InSituKeys;
 use crate::session::Session;
@@ -30,6 +31,8 @@ pub(super) struct Lighting {
     threads: usize,
     /// Computing on the CPU already: there is nothing to fall back to.
     on_cpu: bool,
+    /// Where the light is left at the end.
+    light_state: Option<PathBuf>,
     /// When resuming: the outputs, asked only for the files that a step has.
     complete: Vec<Box<dyn Sink>>,
 }
@@ -58,19 +61,19 @@ pub(super) fn run(opening: Opening, queue: Arc<Queue>, opened: &Sender<Result<()
     };
     let _ = opened.send(Ok(()));
     lighting.light_up(to);
+    let kept = catch_unwind(AssertUnwindSafe(|| lighting.keep_light()));
+    let kept = kept.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))));
     // A GPU that is put down badly must not take the files with it.
     let put_down = catch_unwind(AssertUnwindSafe(|| drop(lighting)));
     let written = writer.join().unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))));
-    written.and(put_down.map_err(|panic| Error::Bug(panic_text(&*panic))))
+    written.and(kept).and(put_down.map_err(|panic| Error::Bug(panic_text(&*panic))))
 }
 
 fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     let Opening { scene, device, mut sinks } = opening;
     let keys = scene.insitu.clone();
     scene.validate()?;
-    if keys.light_state.is_some() {
-        return Err(Error::Unsupported("insitu.light_state: not in this version".into()));
-    }
+    let kept = LightState::left_at(keys.light_state.as_deref(), &scene)?;
     if keys.outputs.is_empty() && sinks.is_empty() && keys.ledger.is_none() {
         return Err(Error::scene("insitu.outputs", "nothing would be written: give outputs = [\"movie.mp4\"], say"));
     }
@@ -98,9 +101,12 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     let wants_light = all.iter().any(|s| s.wants_light());
     let on_cpu = on_cpu(&*device);
     let mut session = Session::new(device, scene, None, wants_light)?;
+    if let Some(kept) = kept {
+        session.start_from(kept);
+    }
     keys.light_change.into_iter().for_each(|change| session.only_when_light_changes(change));
     let writing = Writing::new(all, ledger, queue.clone());
-    Ok((Lighting { session, queue, threads, on_cpu, complete }, writing))
+    Ok((Lighting { session, queue, threads, on_cpu, light_state: keys.light_state, complete }, writing))
 }
 
 /// Keeps this thread, and those that it will start, on the cores of the settings.
@@ -138,6 +144,14 @@ impl Lighting {
                     return;
                 }
             }
+        }
+    }
+
+    /// Leaves the light of the last step for a later run, where one is wanted and a step was lit.
+    fn keep_light(&self) -> Result<()> {
+        match &self.light_state {
+            Some(path) if self.session.grid().is_some() => self.session.light_state()?.write(path),
+            _ => Ok(()),
         }
     }
 
