@@ -204,12 +204,12 @@ fn scattered_light_of_a_point_agrees_with_monte_carlo() {
         ];
         let (grid, got) = fluence(&step(cube(2 * n), soft_sphere, &sets));
         let (mut off, mut noise, mut total) = (0.0, 0.0, 0.0);
-        for i in 0..grid.len() {
+        for (i, got) in got.iter().enumerate() {
             // Beside the light one voxel outshines all others.
             if (centre(&grid, i) - light).length() < 2.5 * grid.spacing[0] {
                 continue;
             }
-            off += (got[i] - reference.mean[i]).powi(2);
+            off += (got - reference.mean[i]).powi(2);
             noise += reference.error[i].powi(2);
             total += reference.mean[i].powi(2);
         }
