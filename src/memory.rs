@@ -217,8 +217,8 @@ mod tests {
         assert!(with(&["lights.0.softness=3"], 128) > plain);
         let paper = with(&["light.model=paper"], 128);
         assert!(
-            with(&["light.model=paper", "lights.3.kind=point"], 128)
-                > with(&["light.model=paper", "lights.2.color=[1,1,1]"], 128)
+            with(&["light.model=paper", "lights.0.kind=point"], 128)
+                > with(&["light.model=paper", "lights.0.color=[1,1,1]"], 128)
         );
         assert!(
             paper > 4 * 128u64.pow(3) * 5 && with(&["light.model=paper", "light.diffusion=multigrid"], 128) > paper
