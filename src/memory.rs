@@ -217,7 +217,7 @@ mod tests {
         assert!(with(&["lights.0.softness=3"], 128) > plain);
         let paper = with(&["light.model=paper"], 128);
         assert!(
-            with(&["light.model=paper", "lights.0.kind=point"], 128)
+            with(&["light.model=paper", "lights.0.kind=cone"], 128)
                 > with(&["light.model=paper", "lights.0.color=[1,1,1]"], 128)
         );
         assert!(

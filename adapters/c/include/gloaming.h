@@ -1,6 +1,6 @@
 /* gloaming: physically lit movies of a running simulation.
  *
- *   gloaming_session *lit = gloaming_open(config, NULL);      // the text of a scene file with an [insitu] table
+ *   gloaming_session *lit = gloaming_open(config, NULL);      // the text of a scene file with an `[insitu]` table
  *   for (...)
  *       gloaming_push(lit, step, time, dims, NULL, GLOAMING_F32, values, NULL);
  *   gloaming_close(lit, NULL, NULL);
@@ -250,7 +250,7 @@ extern "C" {
 const char *gloaming_version(void);
 
 /**
- * Opens a session from `config`, the text of a scene file with an [insitu] table (see the README), as UTF-8 that ends in
+ * Opens a session from `config`, the text of a scene file with an `[insitu]` table (see the README), as UTF-8 that ends in
  * 0. The text is read before this returns. NULL when it fails: `error` tells why, and so does stderr.
  *
  * The caller promises:
@@ -269,7 +269,7 @@ struct gloaming_session *gloaming_open_file(const char *path, struct gloaming_er
 
 /**
  * Hands over a step: `dims` values along x, y, z in memory at `values`, of type `type` (GLOAMING_F32 …), `strides` values
- * apart along x, y, z (NULL: dense, x fastest, as Fortran arrays a(x, y, z) and C arrays a[z][y][x] are). `time` is the
+ * apart along x, y, z (NULL: dense, x fastest, as Fortran arrays `a(x, y, z)` and C arrays `a[z][y][x]` are). `time` is the
  * simulation's; NaN where it has none. The values are copied before this returns, as 32-bit floats. It waits only when the
  * queue is full and the policy is "block".
  *

@@ -65,7 +65,7 @@ pub extern "C" fn gloaming_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()
 }
 
-/// Opens a session from `config`, the text of a scene file with an [insitu] table (see the README), as UTF-8 that ends in
+/// Opens a session from `config`, the text of a scene file with an `[insitu]` table (see the README), as UTF-8 that ends in
 /// 0. The text is read before this returns. NULL when it fails: `error` tells why, and so does stderr.
 ///
 /// # Safety
@@ -87,7 +87,7 @@ pub unsafe extern "C" fn gloaming_open_file(path: *const c_char, error: *mut glo
 }
 
 /// Hands over a step: `dims` values along x, y, z in memory at `values`, of type `type` (GLOAMING_F32 …), `strides` values
-/// apart along x, y, z (NULL: dense, x fastest, as Fortran arrays a(x, y, z) and C arrays a[z][y][x] are). `time` is the
+/// apart along x, y, z (NULL: dense, x fastest, as Fortran arrays `a(x, y, z)` and C arrays `a[z][y][x]` are). `time` is the
 /// simulation's; NaN where it has none. The values are copied before this returns, as 32-bit floats. It waits only when the
 /// queue is full and the policy is "block".
 ///
