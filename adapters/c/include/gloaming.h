@@ -1,6 +1,6 @@
 /* gloaming: physically lit movies of a running simulation.
  *
- *   gloaming_session *lit = gloaming_open(config, NULL);      // the text of a scene file with an `[insitu]` table
+ *   gloaming_session *lit = gloaming_open(config, NULL);      // the text of a scene file with an [insitu] table
  *   for (...)
  *       gloaming_push(lit, step, time, dims, NULL, GLOAMING_F32, values, NULL);
  *   gloaming_close(lit, NULL, NULL);
