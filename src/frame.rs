@@ -18,12 +18,30 @@ pub struct Frame {
     pub size: [usize; 2],
     /// `width·height` pixels.
     pub pixels: Vec<[f32; 4]>,
+    /// What a renderer knows besides, by name; EXR files hold it, others do not.
+    pub layers: Vec<Layer>,
+}
+
+/// One more quantity of each pixel: normal, depth, variance, a part of the picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// Name, without a dot: the EXR file has channels `NAME.CHANNEL`.
+    pub name: String,
+    /// A letter for each channel: `RGB`, `XYZ`, `V` by convention for colours, vectors and single values.
+    pub channels: String,
+    /// `width·height` pixels, the values of one pixel after another.
+    pub values: Vec<f32>,
 }
 
 impl Frame {
     /// A transparent frame.
     pub fn new(size: [usize; 2]) -> Self {
-        Frame { size, pixels: vec![[0.0; 4]; size[0] * size[1]] }
+        Frame { size, pixels: vec![[0.0; 4]; size[0] * size[1]], layers: vec![] }
+    }
+
+    /// The layer of that name.
+    pub fn layer(&self, name: &str) -> Option<&Layer> {
+        self.layers.iter().find(|layer| layer.name == name)
     }
 }
 

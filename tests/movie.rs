@@ -310,7 +310,7 @@ fn what_cannot_be_encoded_is_said_with_a_way_out() {
 
 /// A grey frame, brighter with each step.
 fn grey(step: usize) -> Frame {
-    Frame { size: [64, 64], pixels: vec![[0.02 * (step * step) as f32 + 0.01; 4]; 64 * 64] }
+    Frame { pixels: vec![[0.02 * (step * step) as f32 + 0.01; 4]; 64 * 64], ..Frame::new([64, 64]) }
 }
 
 /// Writes steps at these times and tells which step each frame of the movie shows, by its brightness.

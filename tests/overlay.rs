@@ -76,7 +76,7 @@ fn ink_stands_out_on_dark_and_bright_backgrounds() {
     }
     // Over a bright picture before a dark background, the halo sets light ink off.
     let options = options(&all[..1], 0.0);
-    let frame = Frame { size: SIZE, pixels: vec![[1.0; 4]; SIZE[0] * SIZE[1]] };
+    let frame = Frame { pixels: vec![[1.0; 4]; SIZE[0] * SIZE[1]], ..Frame::new(SIZE) };
     let view = View { camera: "main".into(), axes: [[0.0; 3]; 3], eye: [0.0; 3], fov: 35.0, frame };
     let row = LedgerRow::default();
     let output = Output { step: 7, time: None, range: [0.0, 1.0], frames: vec![view], light: None, row };

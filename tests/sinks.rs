@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use gloaming::frame::Frame;
+use gloaming::frame::{Frame, Layer};
 use gloaming::ledger::LedgerRow;
 use gloaming::scene::Scene;
 use gloaming::sink::{self, Output, Sink, SinkOptions, View};
@@ -95,6 +95,23 @@ fn exr_holds_every_bit_and_says_what_it_is() {
 }
 
 #[test]
+fn exr_holds_the_further_layers_of_a_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = open(folder.path(), "f_{step}.exr", &options(&["main"], 1));
+    let mut shown = frame([13, 7], 0.5);
+    let layer = |name: &str, channels: &str| Layer {
+        name: name.into(),
+        channels: channels.into(),
+        values: (0..13 * 7 * channels.len()).map(|i| (i * name.len()) as f32 - 0.5).collect(),
+    };
+    // Orders that the file, which sorts channels by name, does not have.
+    shown.layers = vec![layer("albedo", "RGB"), layer("depth", "V"), layer("normal", "XYZ")];
+    sink.write(&output(1, None, vec![view("main", shown.clone())])).unwrap();
+    sink.finish().unwrap();
+    assert_eq!(sink::exr::read(&folder.path().join("f_1.exr")).unwrap(), shown);
+}
+
+#[test]
 fn png_is_the_frame_before_the_background_through_the_tone_map() {
     let folder = tempfile::tempdir().unwrap();
     let mut options = options(&["main"], 2);
@@ -178,8 +195,8 @@ fn a_full_disk_leaves_nothing_half_written() {
         }
         // A movie whose first frames fit and whose next does not: what fits is kept, in fragments.
         let noise = |n: u32| Frame {
-            size: [320, 240],
             pixels: (0..320 * 240u32).map(|i| [(i.wrapping_mul(2654435761 + n) >> 24) as f32 / 255.0; 4]).collect(),
+            ..Frame::new([320, 240])
         };
         for (name, fit) in [("none.mp4", 0), ("some.mp4", 4)] {
             let mut sink = open(folder, name, &options(&["main"], 8));

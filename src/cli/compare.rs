@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     fn frame(pixels: &[[f32; 4]]) -> Frame {
-        Frame { size: [pixels.len(), 1], pixels: pixels.to_vec() }
+        Frame { pixels: pixels.to_vec(), ..Frame::new([pixels.len(), 1]) }
     }
 
     #[test]

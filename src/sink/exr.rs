@@ -1,4 +1,5 @@
-//! OpenEXR: scene-linear frames before background, exposure and tone map, premultiplied RGBA in 32-bit float.
+//! OpenEXR: scene-linear frames before background, exposure and tone map, premultiplied RGBA in 32-bit float. Further layers
+//! of a frame are channels `LAYER.CHANNEL` of the same part, in 32-bit float too.
 //!
 //! Attributes of a file:
 //!
@@ -23,7 +24,7 @@ use super::template::Template;
 use super::whole::write_whole;
 use super::{Output, SinkOptions, View};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{self, Frame};
 
 /// Writes one EXR per step and camera.
 pub(super) struct Exr {
@@ -55,13 +56,26 @@ impl super::Sink for Exr {
 }
 
 fn write(path: &Path, output: &Output, view: &View, options: &SinkOptions) -> Result<()> {
-    let Frame { size: [width, height], pixels } = &view.frame;
-    let channels = SpecificChannels::rgba(|at: Vec2<usize>| {
-        let [r, g, b, a] = pixels[at.y() * width + at.x()];
-        (r, g, b, a)
+    let Frame { size: [width, height], pixels, layers } = &view.frame;
+    let planes = "RGBA".char_indices().map(|(c, name)| plane(name.to_string(), pixels.iter().map(|p| p[c]).collect()));
+    let further = layers.iter().flat_map(|layer| {
+        let count = layer.channels.chars().count();
+        layer.channels.chars().enumerate().map(move |(c, name)| {
+            plane(format!("{}.{name}", layer.name), layer.values.iter().skip(c).step_by(count).copied().collect())
+        })
     });
-    let layer = Layer::new((*width, *height), attributes(output, view, options), Encoding::SMALL_LOSSLESS, channels);
+    let channels = AnyChannels::sort(planes.chain(further).collect());
+    let layer = exr::image::Layer::new(
+        (*width, *height),
+        attributes(output, view, options),
+        Encoding::SMALL_LOSSLESS,
+        channels,
+    );
     write_whole(path, |writer| Image::from_layer(layer).write().to_buffered(writer).map_err(|e| named(path, e)))
+}
+
+fn plane(name: String, values: Vec<f32>) -> AnyChannel<FlatSamples> {
+    AnyChannel::new(Text::new_or_panic(name), FlatSamples::F32(values))
 }
 
 fn attributes(output: &Output, view: &View, options: &SinkOptions) -> LayerAttributes {
@@ -92,18 +106,68 @@ fn text(value: &str) -> AttributeValue {
     AttributeValue::Text(Text::new_or_panic(latin))
 }
 
-/// Reads the first RGBA layer of a file as scene-linear pixels; alpha is 1 where the file has none.
+/// Reads a picture and its further layers, whatever program wrote it; alpha is 1 where the file has none.
+///
+/// # Errors
+/// [`Error::Io`] and [`Error::Format`] for files that cannot be read or have no R, G and B.
 pub fn read(path: &Path) -> Result<Frame> {
-    let image = read_first_rgba_layer_from_file(
-        path,
-        |size, _| Frame::new([size.width(), size.height()]),
-        |frame: &mut Frame, at, (r, g, b, a): (f32, f32, f32, f32)| {
-            let width = frame.size[0];
-            frame.pixels[at.y() * width + at.x()] = [r, g, b, a];
-        },
-    )
-    .map_err(|e| named(path, e))?;
-    Ok(image.layer_data.channel_data.pixels)
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .from_file(path)
+        .map_err(|e| named(path, e))?;
+    let size = image.layer_data.size;
+    let mut frame = Frame::new([size.width(), size.height()]);
+    frame.pixels.fill([0.0, 0.0, 0.0, 1.0]);
+    let mut colours = 0;
+    for channel in image.layer_data.channel_data.list {
+        let name = channel.name.to_string();
+        if channel.sampling != Vec2(1, 1) {
+            return Err(Error::format(
+                path,
+                format!("channel {name} has fewer values than the picture has pixels"),
+                "",
+            ));
+        }
+        let values = channel.sample_data.values_as_f32();
+        match ("RGBA".find(&name).filter(|_| name.len() == 1), name.rsplit_once('.')) {
+            (Some(c), _) => {
+                colours += usize::from(c < 3);
+                frame.pixels.iter_mut().zip(values).for_each(|(pixel, value)| pixel[c] = value);
+            }
+            (None, Some((layer, channel))) => add(&mut frame, layer, channel, values.collect()),
+            (None, None) => add(&mut frame, &name, "V", values.collect()),
+        }
+    }
+    if colours < 3 {
+        return Err(Error::format(path, "an EXR without channels R, G and B", ""));
+    }
+    // Files hold channels by the alphabet.
+    let rank = |c: char| "RGBAXYZ".find(c).unwrap_or(c as usize);
+    frame.layers.iter_mut().for_each(|layer| {
+        let mut order: Vec<(usize, char)> = layer.channels.chars().enumerate().collect();
+        order.sort_by_key(|(_, name)| rank(*name));
+        let pixels = layer.values.chunks_exact(order.len());
+        layer.values = pixels.flat_map(|pixel| order.iter().map(|(from, _)| pixel[*from])).collect();
+        layer.channels = order.iter().map(|(_, name)| *name).collect();
+    });
+    Ok(frame)
+}
+
+/// Adds a channel to a layer of a frame.
+fn add(frame: &mut Frame, name: &str, channel: &str, values: Vec<f32>) {
+    let channel = channel.chars().next().unwrap_or('V');
+    match frame.layers.iter_mut().find(|layer| layer.name == name) {
+        None => frame.layers.push(frame::Layer { name: name.into(), channels: channel.into(), values }),
+        Some(layer) => {
+            let before = layer.values.chunks_exact(layer.channels.chars().count());
+            layer.values = before.zip(values).flat_map(|(pixel, value)| pixel.iter().copied().chain([value])).collect();
+            layer.channels.push(channel);
+        }
+    }
 }
 
 fn named(path: &Path, e: exr::error::Error) -> Error {

@@ -118,7 +118,7 @@ fn listed_tiles_are_those_of_the_whole_picture() {
         let size = [61, 43];
         let mut whole = Frame::new(size);
         d.march(&march, &mut whole).unwrap();
-        let mut some = Frame { size, pixels: vec![[-1.0; 4]; 61 * 43] };
+        let mut some = Frame { pixels: vec![[-1.0; 4]; 61 * 43], ..Frame::new(size) };
         let list = [1u32, 5, 6, 11];
         d.march_tiles(&march, &list, &mut some).unwrap();
         for (i, (got, want)) in some.pixels.iter().zip(&whole.pixels).enumerate() {
