@@ -8,8 +8,10 @@ use glam::{DVec3, Vec3};
 use crate::error::Result;
 use crate::scene::{LightKeys, LightKind, Model, Scene};
 
+mod emitters;
 mod panorama;
 
+pub use emitters::Emitters;
 pub use panorama::{Cell, Panorama};
 
 /// A light source in world space.

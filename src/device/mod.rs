@@ -16,6 +16,7 @@ use convection::{Convected, Convection, Layers, Spread};
 mod buffer;
 pub mod convection;
 pub mod cpu;
+pub mod emitter;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod lamp;

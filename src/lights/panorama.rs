@@ -78,6 +78,11 @@ impl Panorama {
         self.size
     }
 
+    /// Linear RGB, row by row from the top.
+    pub fn pixels(&self) -> &[[f32; 3]] {
+        &self.pixels
+    }
+
     /// The pixel towards a unit world direction.
     pub fn radiance(&self, towards: DVec3) -> [f32; 3] {
         let [width, height] = self.size;

@@ -27,6 +27,7 @@ pub(crate) mod sweep;
 mod sweep_cubic;
 mod sweep_point;
 mod sweep_x;
+pub mod trace;
 mod transport;
 
 /// The CPU.

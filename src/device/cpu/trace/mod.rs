@@ -1,0 +1,3 @@
+//! Path tracing on the CPU.
+
+pub mod emitter;
