@@ -86,6 +86,18 @@ impl Display {
         }
     }
 
+    /// What [`Display::encode`] rounds, 0 to 1.
+    pub fn shown(&self, radiance: f32) -> f32 {
+        let exposed = match self.tonemap {
+            Tonemap::Srgb | Tonemap::None => self.exposure * radiance,
+            Tonemap::Exposure => -(-radiance / self.exposure).exp_m1(),
+        };
+        match self.tonemap {
+            Tonemap::None => exposed.clamp(0.0, 1.0),
+            _ => srgb_encode(f64::from(exposed.clamp(0.0, 1.0))) as f32,
+        }
+    }
+
     /// The frame before the background, exposed and tone-mapped.
     pub fn picture(&self, frame: &Frame) -> RgbImage {
         let [w, h] = frame.size;

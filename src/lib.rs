@@ -12,6 +12,7 @@
 //! | [`device`] | kernels: arithmetic on voxels and rays, on the CPU and as WGSL |
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
 //! | [`source`], [`sink`] | file formats in, file formats out |
+//! | [`mod@compare`] | how far two pictures are apart |
 //! | [`light_state`] | light kept in a file between runs |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
 //! | [`insitu`] | a running simulation that hands over its steps |
@@ -22,6 +23,7 @@
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
 
 pub mod camera;
+pub mod compare;
 pub mod device;
 pub mod dtype;
 pub mod error;

@@ -173,6 +173,10 @@ fn compare_measures_a_known_difference() {
     assert!((figures["rmse"].as_f64().unwrap() - rmse).abs() < 1e-6, "{figures}");
     assert!((figures["relative_rmse"].as_f64().unwrap() - rmse / 2.0).abs() < 1e-6, "{figures}");
     assert_eq!(figures["max"].as_f64(), Some(1.0));
+    // 0.25/(1 + 0.04) and 1/(9 + 0.04) of three values each.
+    let relative = (0.25 / 1.04 + 1.0 / 9.04) / 3.0;
+    assert!((figures["relative_mse"].as_f64().unwrap() - relative).abs() < 1e-6, "{figures}");
+    assert!(figures["ssim"].is_null() && figures.get("z_test").is_none(), "a picture smaller than a window: {figures}");
     assert!((figures["psnr"].as_f64().unwrap() - 20.0 * (3.0 / rmse).log10()).abs() < 1e-4, "{figures}");
     assert_eq!(image::image_dimensions(here.path().join("d.png")).unwrap(), (4, 2));
 

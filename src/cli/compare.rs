@@ -1,13 +1,11 @@
-//! `gloaming compare`: how far two EXR frames are apart.
-//!
-//! Over all pixels and the channels R, G, B, scene-linear as stored: `rmse = √mean((a − b)²)`,
-//! `relative_rmse = rmse/mean(b)`, `psnr = 20 log₁₀(max(b)/rmse)` in dB. Alpha is not compared.
+//! `gloaming compare`: how far two EXR frames are apart, see [`gloaming::compare`].
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
+use gloaming::compare::{Difference, ZTest, difference, distances, z_test};
 use gloaming::frame::Frame;
 use gloaming::sink::exr;
 use gloaming::transfer::TransferFunction;
@@ -20,8 +18,11 @@ Examples:
   gloaming compare frame.exr reference.exr
   gloaming compare frame.exr reference.exr --json
   gloaming compare frame.exr reference.exr --diff difference.png
+  gloaming compare noisy.exr converged.exr --variance
 
-All figures are over R, G and B, scene-linear; relative_rmse = rmse/mean(B), psnr refers to the largest value of B.")]
+All figures are over R, G and B, scene-linear. relative rmse is rmse/mean(B); relative mse is the mean of (a - b)^2/(b^2 + e) with
+e = (mean(B)/10)^2; psnr refers to the largest value of B. ssim is the structural similarity of what a display shows of the
+luminance (Wang et al. 2004), 1 for equal pictures.")]
 pub struct CompareArgs {
     /// The frame
     #[arg(value_name = "A.exr")]
@@ -35,82 +36,113 @@ pub struct CompareArgs {
     /// Write a picture of the difference: black where there is none, brightest where it is largest
     #[arg(long, value_name = "OUT.png")]
     diff: Option<PathBuf>,
+    /// Compare the layers of that name (albedo, normal, depth, ...) and not the pictures
+    #[arg(long, value_name = "NAME", conflicts_with = "variance")]
+    layer: Option<String>,
+    /// Test whether the two differ by noise alone, by the layers `variance` of the files
+    #[arg(long)]
+    variance: bool,
 }
 
-/// What is measured; `None` where it is not a finite number.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct Difference {
-    rmse: f64,
-    relative_rmse: Option<f64>,
-    max: f64,
-    psnr: Option<f64>,
-    mean_a: f64,
-    mean_b: f64,
-    width: usize,
-    height: usize,
+/// What is said: names are a contract.
+#[derive(Serialize)]
+struct Said {
+    #[serde(flatten)]
+    difference: Difference,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    z_test: Option<ZTest>,
 }
 
 /// Prints the difference.
 pub fn run(args: &CompareArgs) -> anyhow::Result<()> {
+    let files = || format!("{} and {}", args.a.display(), args.b.display());
     let (a, b) = (exr::read(&args.a)?, exr::read(&args.b)?);
-    let difference = measure(&a, &b).with_context(|| format!("{} and {}", args.a.display(), args.b.display()))?;
+    let variance = args.variance.then(|| variance_of_difference(&a, &b)).transpose().with_context(files)?;
+    let (a, b) = match &args.layer {
+        Some(name) => (of_layer(a, name, &args.a)?, of_layer(b, name, &args.b)?),
+        None => (a, b),
+    };
+    let difference = difference(&a, &b).with_context(files)?;
+    let z_test = variance.map(|v| z_test(&a, &b, &v)).transpose().with_context(files)?;
     if let Some(path) = &args.diff {
-        picture(&a, &b, difference.max).save(path).with_context(|| path.display().to_string())?;
+        picture(a.size, &distances(&a, &b)?).save(path).with_context(|| path.display().to_string())?;
     }
     let mut out = std::io::stdout().lock();
     if args.json {
-        serde_json::to_writer(&mut out, &difference)?;
+        serde_json::to_writer(&mut out, &Said { difference, z_test })?;
         writeln!(out)?;
         return Ok(());
     }
     let or_none = |v: Option<f64>, unit: &str| v.map_or("-".to_string(), |v| format!("{v:.6}{unit}"));
     writeln!(out, "rmse           {:.6e}", difference.rmse)?;
     writeln!(out, "relative rmse  {}", or_none(difference.relative_rmse, ""))?;
+    writeln!(out, "relative mse   {}", or_none(difference.relative_mse, ""))?;
     writeln!(out, "max            {:.6e}", difference.max)?;
     writeln!(out, "psnr           {}", or_none(difference.psnr, " dB"))?;
+    writeln!(out, "ssim           {}", or_none(difference.ssim, ""))?;
     writeln!(out, "mean           {:.6e} against {:.6e}", difference.mean_a, difference.mean_b)?;
+    if let Some(z) = z_test {
+        let spread = (2.0 / z.values.max(1) as f64).sqrt();
+        writeln!(out, "z of the mean  {:+.3} standard errors", z.mean)?;
+        writeln!(out, "mean of z²     {:.4}, of {} values (1 ± {spread:.4} for noise alone)", z.mean_square, z.values)?;
+        writeln!(
+            out,
+            "beyond 3       {:.3} % (0.270 % for noise alone), largest {:.2}",
+            100.0 * z.beyond_3,
+            z.largest
+        )?;
+        writeln!(out, "without noise  {} values differ", z.certain_differences)?;
+    }
     Ok(())
 }
 
-/// Values of the channels that are compared.
-fn rgb(frame: &Frame) -> impl Iterator<Item = f64> {
-    frame.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).map(f64::from)
+/// The sum of the pixels' variances that the files state.
+fn variance_of_difference(a: &Frame, b: &Frame) -> anyhow::Result<Vec<[f32; 3]>> {
+    let stated: Vec<_> = [a, b].into_iter().filter_map(|frame| frame.layer("variance")).collect();
+    if stated.is_empty() {
+        bail!("neither has a layer `variance`, which pictures of render.kind = \"pathtrace\" have");
+    }
+    let mut sum = vec![[0.0; 3]; a.pixels.len()];
+    for layer in stated {
+        if layer.channels.len() != 3 || layer.values.len() != 3 * sum.len() {
+            bail!("a layer `variance` with the channels {} is not that of an RGB picture", layer.channels);
+        }
+        for (sum, v) in sum.iter_mut().zip(layer.values.as_chunks::<3>().0) {
+            *sum = std::array::from_fn(|c| sum[c] + v[c]);
+        }
+    }
+    Ok(sum)
 }
 
-fn measure(a: &Frame, b: &Frame) -> anyhow::Result<Difference> {
-    if a.size != b.size {
-        bail!("sizes differ: {}x{} and {}x{}", a.size[0], a.size[1], b.size[0], b.size[1]);
-    }
-    let odd = rgb(a).zip(rgb(b)).filter(|(a, b)| !a.is_finite() || !b.is_finite()).count();
-    if odd > 0 {
-        bail!("{odd} values are not finite, which no figure describes");
-    }
-    let count = (3 * a.pixels.len()) as f64;
-    let mean = |frame: &Frame| rgb(frame).sum::<f64>() / count;
-    let square: f64 = rgb(a).zip(rgb(b)).map(|(a, b)| (a - b) * (a - b)).sum();
-    let rmse = (square / count).sqrt();
-    let (mean_a, mean_b) = (mean(a), mean(b));
-    let finite = |v: f64| v.is_finite().then_some(v);
-    Ok(Difference {
-        rmse,
-        relative_rmse: finite(rmse / mean_b),
-        max: rgb(a).zip(rgb(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max),
-        psnr: finite(20.0 * (rgb(b).fold(0.0, f64::max) / rmse).log10()),
-        mean_a,
-        mean_b,
-        width: a.size[0],
-        height: a.size[1],
-    })
+/// A layer as a picture.
+fn of_layer(frame: Frame, name: &str, path: &Path) -> anyhow::Result<Frame> {
+    let Some(layer) = frame.layer(name) else {
+        let known: Vec<_> = frame.layers.iter().map(|l| l.name.as_str()).collect();
+        bail!(
+            "{}: no layer `{name}`; it has {}",
+            path.display(),
+            if known.is_empty() { "none".into() } else { known.join(", ") }
+        );
+    };
+    // Whatever is single is gray.
+    let order = match layer.channels.len() {
+        1 => [0; 3],
+        3 | 4 => [0, 1, 2],
+        _ => bail!("{}: layer `{name}` has the channels {}; allowed: one, or three", path.display(), layer.channels),
+    };
+    let pixels =
+        layer.values.chunks_exact(layer.channels.len()).map(|v| order.map(|c| v[c])).map(|[r, g, b]| [r, g, b, 1.0]);
+    let mut picture = Frame::new(frame.size);
+    picture.pixels = pixels.collect();
+    Ok(picture)
 }
 
-/// The largest difference over the channels, as colours of the default map.
-fn picture(a: &Frame, b: &Frame, largest: f64) -> image::RgbImage {
+/// Distances as colours of the default map.
+fn picture([width, height]: [usize; 2], distances: &[f32]) -> image::RgbImage {
     let colors = TransferFunction::new(&Default::default()).expect("the default scene is valid").colors();
-    let [width, height] = a.size;
+    let largest = distances.iter().fold(0.0f32, |m, d| m.max(*d));
     image::RgbImage::from_fn(width as u32, height as u32, |x, y| {
-        let at = y as usize * width + x as usize;
-        let (a, b) = (a.pixels[at], b.pixels[at]);
-        let apart = (0..3).map(|c| f64::from(a[c] - b[c]).abs()).fold(0.0, f64::max);
+        let apart = distances[y as usize * width + x as usize];
         let share = if largest > 0.0 { apart / largest } else { 0.0 };
         image::Rgb(colors[(255.0 * share).round() as usize].map(|c| (255.0 * c).round() as u8))
     })
@@ -120,45 +152,10 @@ fn picture(a: &Frame, b: &Frame, largest: f64) -> image::RgbImage {
 mod tests {
     use super::*;
 
-    fn frame(pixels: &[[f32; 4]]) -> Frame {
-        Frame { pixels: pixels.to_vec(), ..Frame::new([pixels.len(), 1]) }
-    }
-
-    #[test]
-    fn figures_follow_their_definitions() {
-        let b = frame(&[[1.0, 2.0, 3.0, 0.5], [0.0, 0.0, 6.0, 1.0]]);
-        let a = frame(&[[1.0, 2.0, 3.0, 0.9], [0.0, 0.0, 3.0, 0.0]]);
-        let d = measure(&a, &b).unwrap();
-        let rmse = (9.0f64 / 6.0).sqrt();
-        assert!((d.rmse - rmse).abs() < 1e-12 && (d.relative_rmse.unwrap() - rmse / 2.0).abs() < 1e-12);
-        assert_eq!((d.max, d.mean_a, d.mean_b), (3.0, 1.5, 2.0));
-        assert!((d.psnr.unwrap() - 20.0 * (6.0 / rmse).log10()).abs() < 1e-12);
-    }
-
-    #[test]
-    fn equal_and_black_frames_have_no_ratio() {
-        let b = frame(&[[0.0; 4]]);
-        let d = measure(&b, &b).unwrap();
-        assert_eq!((d.rmse, d.relative_rmse, d.psnr), (0.0, None, None));
-        let lit = frame(&[[0.5; 4]]);
-        assert_eq!(measure(&lit, &lit).unwrap().relative_rmse, Some(0.0));
-    }
-
-    #[test]
-    fn sizes_that_differ_and_values_that_are_no_numbers_are_refused() {
-        let (one, two) = (frame(&[[0.0; 4]]), frame(&[[0.0; 4]; 2]));
-        assert!(measure(&one, &two).unwrap_err().to_string().contains("1x1 and 2x1"));
-        let odd = frame(&[[f32::NAN, 0.0, 0.0, 1.0]]);
-        assert!(measure(&one, &odd).unwrap_err().to_string().contains("1 values are not finite"));
-    }
-
     #[test]
     fn the_difference_is_brightest_where_it_is_largest() {
-        let a = frame(&[[0.0; 4], [0.1, 0.0, 0.0, 0.0], [0.0, 0.0, 0.4, 0.0]]);
-        let sums: Vec<u32> = picture(&a, &frame(&[[0.0; 4]; 3]), 0.4)
-            .pixels()
-            .map(|p| p.0.iter().map(|c| u32::from(*c)).sum())
-            .collect();
+        let sums: Vec<u32> =
+            picture([3, 1], &[0.0, 0.1, 0.4]).pixels().map(|p| p.0.iter().map(|c| u32::from(*c)).sum()).collect();
         assert!(sums[0] < 10 && sums[0] < sums[1] && sums[1] < sums[2], "{sums:?}");
     }
 }

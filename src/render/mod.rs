@@ -8,6 +8,8 @@ use crate::light::LightVolume;
 use crate::medium::Medium;
 use crate::scene::{RenderKind, Scene};
 
+pub mod denoise;
+pub mod film;
 mod raycast;
 pub mod reuse;
 

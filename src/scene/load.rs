@@ -8,7 +8,9 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
-use super::{CameraKeys, FieldKeys, InSituKeys, LightKeys, MovieKeys, RenderKeys, Scene, SolverKeys, TransferKeys};
+use super::{
+    CameraKeys, FieldKeys, InSituKeys, LightKeys, MovieKeys, PathtraceKeys, RenderKeys, Scene, SolverKeys, TransferKeys,
+};
 use crate::error::{Error, Result};
 
 impl Scene {
@@ -140,6 +142,7 @@ impl Document {
             light: self.table::<SolverKeys>("light")?,
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,
+            pathtrace: self.table::<PathtraceKeys>("pathtrace")?,
             movie: self.table::<MovieKeys>("movie")?,
             insitu: self.table::<InSituKeys>("insitu")?,
         })

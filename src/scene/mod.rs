@@ -8,10 +8,12 @@ use serde::{Deserialize, Serialize};
 mod allowed;
 mod insitu;
 mod load;
+mod pathtrace;
 mod validate;
 
 pub(crate) use allowed::nearest;
 pub use insitu::{InSituKeys, Policy};
+pub use pathtrace::{Denoise, PathtraceKeys};
 
 /// A whole scene file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
@@ -29,6 +31,8 @@ pub struct Scene {
     pub cameras: Vec<CameraKeys>,
     /// How pictures are made of it.
     pub render: RenderKeys,
+    /// What path tracing alone has to know.
+    pub pathtrace: PathtraceKeys,
     /// How a movie is encoded.
     pub movie: MovieKeys,
     /// How a running simulation is coupled.
@@ -415,8 +419,12 @@ pub struct RenderKeys {
     pub size: [usize; 2],
     /// Sampling distance in data voxels.
     pub step: f32,
-    /// Samples per pixel (path tracing).
+    /// Samples per pixel at most (path tracing).
     pub samples: usize,
+    /// Mean standard error of a pixel over the mean radiance at which path tracing stops.
+    pub target_error: Option<f64>,
+    /// Milliseconds that path tracing may sample for each frame; its pictures then depend on the machine.
+    pub budget_ms: Option<f64>,
     /// none or phong.
     pub shading: Shading,
     /// Phong: light that reaches every surface.
@@ -446,6 +454,8 @@ impl Default for RenderKeys {
             size: [1280, 720],
             step: 0.5,
             samples: 64,
+            target_error: None,
+            budget_ms: None,
             shading: Shading::None,
             ambient: 0.3,
             diffuse: 0.7,

@@ -4,8 +4,8 @@ use std::fmt::Debug;
 
 use super::allowed::allowed;
 use super::{
-    CameraKeys, ComponentKey, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, RangeKey, RenderKeys,
-    RenderKind, Scene, SolverKeys, TransferKeys,
+    CameraKeys, ComponentKey, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys, RangeKey,
+    RenderKeys, RenderKind, Scene, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -34,6 +34,7 @@ impl Scene {
             require(unique, &format!("cameras.{i}.name"), &keys.name)?;
         }
         render(&self.render)?;
+        pathtrace(&self.pathtrace)?;
         movie(&self.movie)?;
         insitu(&self.insitu)
     }
@@ -173,12 +174,19 @@ fn render(keys: &RenderKeys) -> Result<()> {
     require(keys.step > 0.0 && keys.step <= 16.0, "render.step", keys.step)?;
     require((1..=64).contains(&keys.preview), "render.preview", keys.preview)?;
     require(keys.samples > 0, "render.samples", keys.samples)?;
+    let above_zero = |v: f64| v > 0.0 && v.is_finite();
+    require(keys.target_error.is_none_or(above_zero), "render.target_error", keys.target_error)?;
+    require(keys.budget_ms.is_none_or(above_zero), "render.budget_ms", keys.budget_ms)?;
     require(nonnegative(keys.ambient), "render.ambient", keys.ambient)?;
     require(nonnegative(keys.diffuse), "render.diffuse", keys.diffuse)?;
     require(nonnegative(keys.specular), "render.specular", keys.specular)?;
     require(nonnegative(keys.shininess) && keys.shininess > 0.0, "render.shininess", keys.shininess)?;
     require(keys.background.into_iter().all(nonnegative), "render.background", keys.background)?;
     require(nonnegative(keys.exposure) && keys.exposure > 0.0, "render.exposure", keys.exposure)
+}
+
+fn pathtrace(keys: &PathtraceKeys) -> Result<()> {
+    require((0.0..=8.0).contains(&keys.filter), "pathtrace.filter", keys.filter)
 }
 
 fn movie(keys: &MovieKeys) -> Result<()> {
