@@ -10,6 +10,7 @@ struct Params {
     axis: vec3<f32>,
     outer: f32,
     slope: f32,
+    cosine: f32,
 }
 
 // Voxels from the light within which a voxel holds the mean of its points, and their number along an edge.
@@ -26,14 +27,14 @@ fn irradiate(@builtin(global_invocation_id) id: vec3<u32>) {
     let i = index(params.size, id);
     let away = vec3<f32>(id) - params.position;
     if any(abs(away) > vec3(NEAR)) {
-        out[i] = rho[i] * falloff(away * params.spacing, params.axis, params.floor, params.outer, params.slope);
+        out[i] = rho[i] * falloff(away * params.spacing, params.axis, params.floor, params.outer, params.slope, params.cosine);
         return;
     }
     var sum = 0.0;
     for (var n = 0u; n < PARTS * PARTS * PARTS; n++) {
         let part = vec3<f32>(vec3(n % PARTS, n / PARTS % PARTS, n / (PARTS * PARTS)));
         let d = (away + (part + 0.5) / f32(PARTS) - 0.5) * params.spacing;
-        sum += falloff(d, params.axis, params.floor, params.outer, params.slope);
+        sum += falloff(d, params.axis, params.floor, params.outer, params.slope, params.cosine);
     }
     out[i] = rho[i] * sum / f32(PARTS * PARTS * PARTS);
 }

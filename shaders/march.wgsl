@@ -75,6 +75,7 @@ struct Term {
     floor: f32,
     outer: f32,
     slope: f32,
+    cosine: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -197,7 +198,7 @@ fn weight_at(t: u32, x: vec3<f32>) -> vec3<f32> {
     let lamp = terms[t];
     let d = (x - lamp.position) / params.per_world;
     let cosine = dot(d, to_eye) / sqrt(max(dot(d, d), 1e-30));
-    return lamp.weight * (falloff(d, lamp.direction, lamp.floor, lamp.outer, lamp.slope) * phase(lamp.g, cosine));
+    return lamp.weight * (falloff(d, lamp.direction, lamp.floor, lamp.outer, lamp.slope, lamp.cosine) * phase(lamp.g, cosine));
 }
 
 // The cell of a term at a position on the data grid; that of the term before where both have the same grid.

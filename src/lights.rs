@@ -8,9 +8,11 @@ use glam::{DVec3, Vec3};
 use crate::error::Result;
 use crate::scene::{LightKeys, LightKind, Model, Scene};
 
+mod area;
 mod emitters;
 mod panorama;
 
+pub use area::Area;
 pub use emitters::Emitters;
 pub use panorama::{Cell, Panorama};
 
@@ -48,6 +50,17 @@ pub enum Light {
         /// As of a point light, within the cone: a narrower cone takes light away and does not bundle it.
         intensity: [f32; 3],
     },
+    /// From a small flat place with the cosine of its side: part of an area light.
+    Patch {
+        /// World position.
+        position: DVec3,
+        /// The way that it faces, unit.
+        direction: Vec3,
+        /// As of a point light.
+        radius: f64,
+        /// Radiant intensity per channel along `direction`; at angle θ from it times cos θ, and nothing behind.
+        intensity: [f32; 3],
+    },
     /// The same radiance from all directions.
     Environment {
         /// Radiance per channel.
@@ -65,8 +78,8 @@ pub enum Light {
 /// The light sources of a scene, in order.
 ///
 /// Without `[[lights]]` there are three that make a first picture look good with the default camera: a key light from its
-/// upper left, a weaker fill from its right, and a dim environment. In the physical model a light with softness or a radius
-/// becomes `samples` of equal share, spread over the solid angle, or the ball, that it is.
+/// upper left, a weaker fill from its right, and a dim environment. In the physical model a light with softness, a radius or a
+/// surface becomes `samples` of equal share, spread over the solid angle, the ball, or the surface that it is.
 ///
 /// # Errors
 /// Those of [`Panorama::read`].
@@ -79,11 +92,12 @@ pub fn resolve(scene: &Scene) -> Result<Vec<Light>> {
         let strength = keys.color.map(|c| c * keys.intensity);
         match keys.kind {
             LightKind::Distant => lights.extend(distant(keys, strength)),
-            LightKind::Environment => lights.push(match &keys.image {
-                Some(path) => Light::Image { image: Arc::new(Panorama::read(path)?), factor: strength },
+            LightKind::Environment => lights.push(match Panorama::of(keys)? {
+                Some(image) => Light::Image { image: Arc::new(image), factor: strength },
                 None => Light::Environment { radiance: strength },
             }),
-            LightKind::Point | LightKind::Cone => lights.extend(placed(keys, strength, scene.light.model)),
+            kind if kind.is_area() => lights.extend(Area::new(keys)?.points(keys.samples)),
+            _ => lights.extend(placed(keys, strength, scene.light.model)),
         }
     }
     Ok(lights)

@@ -71,7 +71,7 @@ fn physical(scene: &Scene, lights: &[Light]) -> Result<(u64, u64)> {
 
 /// True where a light is in one place.
 fn lamps(lights: &[Light]) -> bool {
-    lights.iter().any(|l| matches!(l, Light::Point { .. } | Light::Cone { .. }))
+    lights.iter().any(|l| matches!(l, Light::Point { .. } | Light::Cone { .. } | Light::Patch { .. }))
 }
 
 /// Volumes of the paper's model.
@@ -106,7 +106,9 @@ fn gray(scene: &Scene, lights: &[Light]) -> Result<bool> {
     let light = |l: &Light| match l {
         Light::Distant { irradiance, .. } => even(irradiance),
         Light::Environment { radiance } => even(radiance),
-        Light::Point { intensity, .. } | Light::Cone { intensity, .. } => even(intensity),
+        Light::Point { intensity, .. } | Light::Cone { intensity, .. } | Light::Patch { intensity, .. } => {
+            even(intensity)
+        }
         Light::Image { .. } => false,
     };
     Ok(table.gray() && table.emission.iter().all(even) && lights.iter().all(light))

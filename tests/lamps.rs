@@ -107,6 +107,40 @@ fn a_cone_light_ends_at_its_angle() {
     assert!(seen.iter().all(|n| *n > 100), "{seen:?}");
 }
 
+/// Fluence of area lights in vacuum: of a disk on its axis `2πL(1 − cos θ)`, its solid angle, and of all from afar as of a point
+/// with a cosine.
+#[test]
+fn area_lights_shine_as_their_points_with_the_cosine_of_their_side() {
+    let common = [
+        "lights.0.position=[0.5, 0.5, -0.6]",
+        "lights.0.direction=[0, 0, 1]",
+        "light.scattering=false",
+        "light.resolution=1",
+    ];
+    let with = |sets: &[&str]| fluence(&step(cube(16), |_| 0.0, &[&common[..], sets].concat()));
+    let disk = ["lights.0.kind=disk", "lights.0.radius=0.5", "lights.0.intensity=2", "lights.0.samples=19"];
+    let (grid, got) = with(&disk);
+    for (i, got) in got.iter().enumerate() {
+        let at = centre(&grid, i) - DVec3::new(0.5, 0.5, -0.6);
+        if at.truncate().length() < 0.06 {
+            let exact = 2.0 * std::f64::consts::TAU * (1.0 - at.z / (at.z * at.z + 0.25).sqrt());
+            // 19 points for a disk as wide as 0.8 of the distance.
+            assert!((got / exact - 1.0).abs() < 0.02, "{got} for {exact} at {at}");
+        }
+    }
+    let small =
+        ["lights.0.kind=rectangle", "lights.0.size=[0.02, 0.05]", "lights.0.units=intensity", "lights.0.intensity=3"];
+    let (grid, got) = with(&small);
+    for (i, got) in got.iter().enumerate() {
+        let at = centre(&grid, i) - DVec3::new(0.5, 0.5, -0.6);
+        let exact = 3.0 * at.z / at.length().powi(3);
+        assert!((got / exact - 1.0).abs() < 2e-3, "{got} for {exact} at {at}");
+    }
+    // Nothing behind it.
+    let behind = with(&[&small[..], &["lights.0.position=[0.5, 0.5, 1.5]"]].concat());
+    assert!(behind.1.iter().all(|f| *f == 0.0));
+}
+
 /// Single scattering through a homogeneous box, `L = ∫ T σ_s p I/r² T_light ds`, against the integral.
 #[test]
 fn a_picture_of_single_scattering_is_the_integral() {

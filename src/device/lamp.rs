@@ -5,7 +5,8 @@ use glam::{DVec3, Vec3};
 use crate::grid::Grid;
 
 /// A light in one place. Per unit of radiant intensity its irradiance in vacuum, at distance r and angle θ from the cone's
-/// axis, is `t²(3 − 2t)/max(r, radius)²` with `t = (cos θ − outer)/(inner − outer)` clamped to 0..1.
+/// axis, is `t²(3 − 2t)/max(r, radius)²` with `t = (cos θ − outer)/(inner − outer)` clamped to 0..1; with a [`Cone::cosine`] the
+/// first factor is t itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lamp {
     /// World position.
@@ -26,6 +27,15 @@ pub struct Cone {
     pub outer: f32,
     /// Cosine of the angle within which it is full.
     pub inner: f32,
+    /// It fades as the cosine itself and not smoothly: a flat surface, where `outer` is 0 and `inner` 1.
+    pub cosine: bool,
+}
+
+impl Cone {
+    /// The half-space before a flat surface.
+    pub fn facing(axis: Vec3) -> Self {
+        Cone { axis, outer: 0.0, inner: 1.0, cosine: true }
+    }
 }
 
 /// A [`Lamp`] in the index space of a grid, as kernels take it.
@@ -39,6 +49,8 @@ pub(crate) struct Falloff {
     pub outer: f32,
     /// 1/(inner − outer).
     pub slope: f32,
+    /// 1 for [`Cone::cosine`], else 0.
+    pub cosine: f32,
 }
 
 impl Lamp {
@@ -54,7 +66,7 @@ impl Lamp {
         let ball = (0.75 / std::f64::consts::PI * grid.spacing.iter().product::<f64>()).cbrt();
         let least = ball / 3f64.sqrt() / parts as f64;
         // Without a cone the axis is 0, and t = 1 whatever the angle.
-        let cone = self.cone.unwrap_or(Cone { axis: Vec3::ZERO, outer: -1.0, inner: 0.0 });
+        let cone = self.cone.unwrap_or(Cone { axis: Vec3::ZERO, outer: -1.0, inner: 0.0, cosine: false });
         Falloff {
             position: ((self.position - DVec3::from(grid.origin)) / spacing).as_vec3(),
             spacing: spacing.as_vec3(),
@@ -62,6 +74,7 @@ impl Lamp {
             axis: cone.axis,
             outer: cone.outer,
             slope: 1.0 / (cone.inner - cone.outer).max(1e-6),
+            cosine: if cone.cosine { 1.0 } else { 0.0 },
         }
     }
 }

@@ -16,6 +16,7 @@
 //! `light.iterations` on a layer (and then, with `light.budget_ms`, goes on until the time is used up); what is left unfinished
 //! goes on in the next step from where it stands.
 
+use std::f32::consts::FRAC_PI_2;
 use std::time::{Duration, Instant};
 
 use super::{IlluminatedVolume, SolveReport};
@@ -156,6 +157,10 @@ impl Paper {
             Light::Point { position, radius, intensity } => (position, intensity, radius, None),
             Light::Cone { position, direction, angle, edge, radius, intensity } => {
                 (position, intensity, radius, Some((direction, angle, edge)))
+            }
+            // Scenes that are rendered from this have none: see `Scene::validate`.
+            Light::Patch { position, direction, radius, intensity } => {
+                (position, intensity, radius, Some((direction, FRAC_PI_2, FRAC_PI_2)))
             }
             Light::Environment { .. } | Light::Image { .. } => return None,
         };

@@ -81,8 +81,11 @@ impl Source {
             }),
             Light::Point { position, radius, intensity } => Some(lamp(position, radius, None, intensity)),
             Light::Cone { position, direction, angle, edge, radius, intensity } => {
-                let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos() };
+                let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos(), cosine: false };
                 Some(lamp(position, radius, Some(cone), intensity))
+            }
+            Light::Patch { position, direction, radius, intensity } => {
+                Some(lamp(position, radius, Some(Cone::facing(direction)), intensity))
             }
             Light::Environment { .. } | Light::Image { .. } => None,
         }
@@ -527,7 +530,7 @@ fn environment(lights: &[Light], directions: usize) -> Result<Vec<[f32; 3]>> {
                     *r = std::array::from_fn(|c| r[c] + factor[c] * mean[c]);
                 }
             }
-            Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } => {}
+            Light::Distant { .. } | Light::Point { .. } | Light::Cone { .. } | Light::Patch { .. } => {}
         }
     }
     Ok(radiance)

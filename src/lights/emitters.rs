@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DVec3, Vec3};
 
-use super::{Light, Panorama, first_picture};
+use super::{Area, Light, Panorama, first_picture};
 use crate::device::emitter::{Emitter, Shape};
 use crate::error::Result;
 use crate::grid::Grid;
@@ -29,7 +29,7 @@ impl Emitters {
             all.list.extend(first_picture().iter().map(|light| (DVec3::ZERO, from_light(light))));
         }
         for keys in &scene.lights {
-            let emitter = all.emitter(keys)?;
+            let emitter = Emitter { visible: keys.visible, ..all.emitter(keys)? };
             all.list.push((DVec3::from(keys.position), emitter));
         }
         Ok(all)
@@ -77,8 +77,17 @@ impl Emitters {
             }
             LightKind::Environment => {
                 let mut emitter = Emitter::new(Shape::Environment, strength);
-                if let Some(path) = &keys.image {
-                    emitter.image = self.panorama(&Panorama::read(path)?);
+                if let Some(image) = Panorama::of(keys)? {
+                    emitter.image = self.panorama(&image);
+                }
+                emitter
+            }
+            _ => {
+                let area = Area::new(keys)?;
+                let mut emitter = area.emitter();
+                if let Some(([width, height], pixels)) = area.texture() {
+                    emitter.image = [self.images.len() as u32, width as u32, height as u32];
+                    self.images.extend(pixels.as_flattened());
                 }
                 emitter
             }
@@ -113,9 +122,10 @@ impl Emitters {
         }
         let row = |y: usize| {
             let [above, below] = [y, y + 1].map(|y| (PI * y as f64 / height as f64).cos());
+            let around = matches!(emitter.shape, Shape::Environment | Shape::Sphere);
+            let part = if around { 0.5 * (above - below) } else { 1.0 / height as f64 };
             let pixels = self.images[first + 3 * y * width..][..3 * width].chunks_exact(3);
-            0.5 * (above - below) * pixels.map(|p| mean(Vec3::from_slice(p) * emitter.radiance)).sum::<f64>()
-                / width as f64
+            part * pixels.map(|p| mean(Vec3::from_slice(p) * emitter.radiance)).sum::<f64>() / width as f64
         };
         (0..height).map(row).sum()
     }

@@ -10,6 +10,8 @@ use glam::DVec3;
 use image::{DynamicImage, ImageReader};
 
 use crate::error::{Error, Result};
+use crate::frame::srgb_decode;
+use crate::scene::LightKeys;
 
 /// An equirectangular image of radiance.
 #[derive(Debug)]
@@ -47,30 +49,32 @@ impl Panorama {
     /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such image, or holds radiance that is
     /// negative or not finite.
     pub fn read(path: &Path) -> Result<Self> {
-        let reader = ImageReader::open(path).map_err(|e| Error::io(path, e))?;
-        let reader = reader.with_guessed_format().map_err(|e| Error::io(path, e))?;
-        let remedy = "an equirectangular OpenEXR, Radiance HDR or PNG image";
-        let image =
-            reader.decode().map_err(|e| Error::format(path, format!("not an image that can be read: {e}"), remedy))?;
-        let linear = matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
-        let rgb = image.into_rgb32f();
-        let size = [rgb.width() as usize, rgb.height() as usize];
-        let decode = |v: f32| match linear {
-            true => v,
-            // The transfer curve of sRGB (IEC 61966-2-1).
-            false if v <= 0.040_45 => v / 12.92,
-            false => ((v + 0.055) / 1.055).powf(2.4),
-        };
-        let pixels: Vec<[f32; 3]> = rgb.pixels().map(|p| p.0.map(decode)).collect();
-        if pixels.is_empty() {
-            return Err(Error::format(path, "an image without pixels", remedy));
-        }
-        if let Some(at) = pixels.iter().flatten().position(|v| !(*v >= 0.0 && v.is_finite())) {
-            let [x, y] = [at / 3 % size[0], at / 3 / size[0]];
-            let found = format!("radiance {} at pixel ({x}, {y})", pixels[at / 3][at % 3]);
-            return Err(Error::format(path, found, "radiance that is finite and 0 or more"));
-        }
+        let (size, pixels) = read(path, "an equirectangular OpenEXR, Radiance HDR or PNG image")?;
         Ok(Panorama { size, pixels })
+    }
+
+    /// What surrounds the volume by the keys of an environment; `None` where that is one colour.
+    ///
+    /// # Errors
+    /// Those of [`Panorama::read`].
+    pub fn of(keys: &LightKeys) -> Result<Option<Self>> {
+        match (&keys.image, keys.gradient) {
+            (Some(path), _) => Panorama::read(path).map(Some),
+            (None, gradient) => Ok(gradient.map(Panorama::gradient)),
+        }
+    }
+
+    /// Colours straight down, at the horizon and straight up, and what is linear in the height z of a direction between them, in
+    /// rows of even angles: each has the mean of its directions, so that those of the whole and of each half are exact.
+    pub fn gradient([bottom, horizon, top]: [[f32; 3]; 3]) -> Self {
+        const ROWS: usize = 256;
+        let row = |y: usize| {
+            let [above, below] = [y, y + 1].map(|y| (PI * y as f64 / ROWS as f64).cos());
+            let z = (0.5 * (above + below)) as f32;
+            let end = if z > 0.0 { top } else { bottom };
+            std::array::from_fn(|c| horizon[c] + z.abs() * (end[c] - horizon[c]))
+        };
+        Panorama { size: [1, ROWS], pixels: (0..ROWS).map(row).collect() }
     }
 
     /// Width and height in pixels.
@@ -123,6 +127,28 @@ impl Panorama {
     }
 }
 
+/// Size and linear RGB of an image file, row by row from the top; `remedy` is what would do instead of what cannot be read.
+pub(super) fn read(path: &Path, remedy: &str) -> Result<([usize; 2], Vec<[f32; 3]>)> {
+    let reader = ImageReader::open(path).map_err(|e| Error::io(path, e))?;
+    let reader = reader.with_guessed_format().map_err(|e| Error::io(path, e))?;
+    let image =
+        reader.decode().map_err(|e| Error::format(path, format!("not an image that can be read: {e}"), remedy))?;
+    let linear = matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
+    let rgb = image.into_rgb32f();
+    let size = [rgb.width() as usize, rgb.height() as usize];
+    let decode = |v: f32| if linear { v } else { srgb_decode(f64::from(v)) as f32 };
+    let pixels: Vec<[f32; 3]> = rgb.pixels().map(|p| p.0.map(decode)).collect();
+    if pixels.is_empty() {
+        return Err(Error::format(path, "an image without pixels", remedy));
+    }
+    if let Some(at) = pixels.iter().flatten().position(|v| !(*v >= 0.0 && v.is_finite())) {
+        let [x, y] = [at / 3 % size[0], at / 3 / size[0]];
+        let found = format!("radiance {} at pixel ({x}, {y})", pixels[at / 3][at % 3]);
+        return Err(Error::format(path, found, "radiance that is finite and 0 or more"));
+    }
+    Ok((size, pixels))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,6 +186,17 @@ mod tests {
                 assert_eq!(image.mean(&cell), image.radiance(middle), "{cell:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_gradient_has_the_means_of_its_halves() {
+        let sky = Panorama::gradient([[1.0, 0.0, 0.0], [0.0, 1.0, 0.5], [0.0, 0.0, 2.0]]);
+        let half = |z| sky.mean(&Cell { z, azimuth: [0.0, TAU] });
+        for (got, want) in [(half([0.0, 1.0]), [0.0, 0.5, 1.25]), (half([-1.0, 0.0]), [0.5, 0.5, 0.25])] {
+            assert!((0..3).all(|c| (got[c] - want[c]).abs() < 1e-5f32), "{got:?}");
+        }
+        let at = sky.radiance(DVec3::new(0.6, 0.0, 0.8));
+        assert!((at[2] - (0.2 * 0.5 + 0.8 * 2.0)).abs() < 0.02, "{at:?}");
     }
 
     #[test]

@@ -28,7 +28,7 @@ impl Raycast {
         let (lo, hi) = grid.bounds();
         let direction = light.lights().iter().find_map(|l| match *l {
             Light::Distant { direction, .. } => Some(direction),
-            Light::Point { position, .. } | Light::Cone { position, .. } => {
+            Light::Point { position, .. } | Light::Cone { position, .. } | Light::Patch { position, .. } => {
                 (0.5 * (lo + hi) - position).as_vec3().try_normalize()
             }
             _ => None,

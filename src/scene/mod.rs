@@ -6,12 +6,14 @@
 use serde::{Deserialize, Serialize};
 
 mod allowed;
+mod area;
 mod insitu;
 mod load;
 mod pathtrace;
 mod validate;
 
 pub(crate) use allowed::nearest;
+pub use area::{TextureKind, Units};
 pub use insitu::{InSituKeys, Policy};
 pub use pathtrace::{Denoise, PathtraceKeys};
 
@@ -160,29 +162,52 @@ impl NumberOrRgb {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightKeys {
-    /// distant, point, cone or environment.
+    /// distant, point, cone or environment; with a surface rectangle, disk, ring, box or sphere.
     pub kind: LightKind,
-    /// The way the light travels, world axes.
+    /// The way the light travels, world axes; the way that the shining side of a flat light faces.
     pub direction: [f64; 3],
-    /// Where a point or cone light is.
+    /// Where a point or cone light is, and the middle of an area light.
     pub position: [f64; 3],
-    /// Radius of the ball that a point or cone light is, world length; 0 has sharp shadows.
+    /// Radius of the ball that a point or cone light is, world length; 0 has sharp shadows. Radius of a disk, ring or sphere.
     pub radius: f64,
+    /// Radius of a ring's hole.
+    pub inner_radius: f64,
+    /// Edges of a rectangle, across and along `up`, or of a box, the last one along `up`; world lengths.
+    pub size: Vec<f64>,
+    /// The way that a flat light's height goes, as far as its direction lets it (+y where the two are parallel); that of a box's
+    /// last edge, while its first stays as near to +x as it can.
+    pub up: [f64; 3],
+    /// A flat light shines on both sides.
+    pub two_sided: bool,
+    /// The camera sees the light itself (path tracing).
+    pub visible: bool,
+    /// What colour times intensity of an area light is: radiance, power, exitance (flux) or intensity.
+    pub units: Units,
+    /// Of an area light: uniform, checker, gradient or bitmap.
+    pub texture: TextureKind,
+    /// The other colour of a checker or gradient texture.
+    pub second_color: [f32; 3],
+    /// Fields of a checker texture across and upwards.
+    pub tiles: [usize; 2],
     /// Half angle of a cone light in degrees, above 0, at most 90.
     pub angle: f64,
     /// Degrees inside the half angle over which a cone light fades.
     pub edge: f64,
     /// Colour per channel.
     pub color: [f32; 3],
-    /// Distant: irradiance on a facing plane; point, cone: power/4π; environment: radiance.
+    /// Distant: irradiance on a facing plane; point, cone: power/4π; environment: radiance; area lights: see `units`.
     pub intensity: f32,
     /// Angular radius of a distant light in degrees; 0 has sharp shadows.
     pub softness: f64,
-    /// Points that stand for a light with softness or radius: 1, 7 or 19. Each takes a sweep.
+    /// Points that stand for a light with softness, radius or surface: 1, 7 or 19. Each takes a sweep.
     pub samples: usize,
     /// Equirectangular image of an environment light (OpenEXR, Radiance HDR, PNG), times colour and intensity; see
-    /// [`Panorama`](crate::lights::Panorama). A relative path in a scene file starts at the file's folder.
+    /// [`Panorama`](crate::lights::Panorama). Of an area light with a bitmap texture, its image. A relative path in a scene file
+    /// starts at the file's folder.
     pub image: Option<std::path::PathBuf>,
+    /// Colours of an environment straight down, at the horizon and straight up, times colour and intensity; linear in the
+    /// height of a direction between them.
+    pub gradient: Option<[[f32; 3]; 3]>,
 }
 
 impl Default for LightKeys {
@@ -192,6 +217,15 @@ impl Default for LightKeys {
             direction: [-0.5, -1.0, -0.4],
             position: [0.0; 3],
             radius: 0.0,
+            inner_radius: 0.0,
+            size: vec![],
+            up: [0.0, 0.0, 1.0],
+            two_sided: false,
+            visible: false,
+            units: Units::Radiance,
+            texture: TextureKind::Uniform,
+            second_color: [0.0; 3],
+            tiles: [8, 8],
             angle: 30.0,
             edge: 0.0,
             color: [1.0; 3],
@@ -199,6 +233,7 @@ impl Default for LightKeys {
             softness: 0.0,
             samples: 7,
             image: None,
+            gradient: None,
         }
     }
 }
@@ -215,6 +250,16 @@ pub enum LightKind {
     Cone,
     /// From all directions.
     Environment,
+    /// A flat rectangle.
+    Rectangle,
+    /// A flat disk.
+    Disk,
+    /// A disk with a hole.
+    Ring,
+    /// The outside of a box.
+    Box,
+    /// The outside of a ball.
+    Sphere,
 }
 
 /// `[light]`

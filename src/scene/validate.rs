@@ -3,9 +3,10 @@
 use std::fmt::Debug;
 
 use super::allowed::allowed;
+use super::area;
 use super::{
     CameraKeys, ComponentKey, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys, RangeKey,
-    RenderKeys, RenderKind, Scene, SolverKeys, TransferKeys,
+    RenderKeys, RenderKind, Scene, SolverKeys, TextureKind, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -14,6 +15,30 @@ use crate::transfer::TransferFunction;
 const SMALLEST_TOLERANCE: f32 = 1e-6;
 
 impl Scene {
+    /// Refuses area lights where points on their surface would not do.
+    fn area_lights(&self) -> Result<()> {
+        if self.render.kind == RenderKind::Pathtrace {
+            return Ok(());
+        }
+        for (i, keys) in self.lights.iter().enumerate().filter(|(_, keys)| keys.kind.is_area()) {
+            let why = if self.light.model == Model::Paper {
+                "the paper's model has no lights with a cosine"
+            } else if keys.kind == LightKind::Sphere && keys.texture != TextureKind::Uniform {
+                "points that stand for a ball shine alike to all sides"
+            } else {
+                continue;
+            };
+            return Err(Error::Unsupported(
+                format!(
+                    "lights.{i}.kind = \"{:?}\" with these settings: {why}\n  try: render.kind = \"pathtrace\"",
+                    keys.kind
+                )
+                .to_lowercase(),
+            ));
+        }
+        Ok(())
+    }
+
     /// Refuses values outside their range ([`Error::Scene`], naming the key and the range) and what this version does not
     /// do ([`Error::Unsupported`], naming what works).
     pub fn validate(&self) -> Result<()> {
@@ -27,6 +52,7 @@ impl Scene {
                 self.transfer.chromatic
             )));
         }
+        self.area_lights()?;
         solver(&self.light)?;
         self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys))?;
         for (i, keys) in self.cameras.iter().enumerate() {
@@ -40,7 +66,7 @@ impl Scene {
     }
 }
 
-fn require(holds: bool, key: &str, value: impl Debug) -> Result<()> {
+pub(super) fn require(holds: bool, key: &str, value: impl Debug) -> Result<()> {
     if holds { Ok(()) } else { Err(Error::scene(key, format!("{value:?} is not allowed; allowed: {}", allowed(key)))) }
 }
 
@@ -48,7 +74,7 @@ fn unit(v: f32) -> bool {
     (0.0..=1.0).contains(&v)
 }
 
-fn nonnegative(v: f32) -> bool {
+pub(super) fn nonnegative(v: f32) -> bool {
     v >= 0.0 && v.is_finite()
 }
 
@@ -56,7 +82,7 @@ fn finite3(v: [f64; 3]) -> bool {
     v.iter().all(|c| c.is_finite())
 }
 
-fn direction(v: [f64; 3]) -> bool {
+pub(super) fn direction(v: [f64; 3]) -> bool {
     finite3(v) && v.iter().any(|c| *c != 0.0)
 }
 
@@ -100,8 +126,8 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
 }
 
 fn light(i: usize, keys: &LightKeys) -> Result<()> {
+    area::validate(i, keys)?;
     let key = |name: &str| format!("lights.{i}.{name}");
-    require(keys.image.is_none() || keys.kind == LightKind::Environment, &key("image"), &keys.image)?;
     require(direction(keys.direction), &key("direction"), keys.direction)?;
     require(finite3(keys.position), &key("position"), keys.position)?;
     require(keys.radius >= 0.0 && keys.radius.is_finite(), &key("radius"), keys.radius)?;

@@ -138,7 +138,7 @@ fn lamps_agree() {
     let rho = noise(16, grid.len());
     let (lo, hi) = grid.bounds();
     let axis = Vec3::new(0.4, -0.3, 0.8).normalize();
-    for cone in [None, Some(Cone { axis, outer: 0.2, inner: 0.7 })] {
+    for cone in [None, Some(Cone { axis, outer: 0.2, inner: 0.7, cosine: false }), Some(Cone::facing(axis))] {
         let lamp = Lamp { position: lo + 0.4 * (hi - lo), radius: 0.05, cone };
         let [want, got] = both(|d| {
             let mut out = d.alloc(grid.len()).unwrap();

@@ -66,13 +66,15 @@ fn phase(direction: [f32; 3], g: f32) -> Weight {
 
 #[test]
 fn marches_agree() {
-    let cone = Cone { axis: Vec3::new(0.1, 0.2, 0.9).normalize(), outer: -0.2, inner: 0.5 };
+    let cone = Cone { axis: Vec3::new(0.1, 0.2, 0.9).normalize(), outer: -0.2, inner: 0.5, cosine: false };
     let lamp = Lamp { position: glam::DVec3::new(1.3, -1.4, 1.0), radius: 0.03, cone: Some(cone) };
+    let patch = Lamp { cone: Some(Cone::facing(Vec3::new(0.6, 0.0, 0.8))), ..lamp };
     let weights = [
         (Weight::Uniform([0.2, 0.1, 0.3]), false),
         (phase([0.3, -0.5, -0.8], 0.6), true),
         (Weight::Current { axis: 1, weight: [0.3, 0.2, -0.4] }, false),
         (Weight::Lamp { lamp, intensity: [0.02, 0.03, 0.01], g: 0.3 }, true),
+        (Weight::Lamp { lamp: patch, intensity: [0.01, 0.02, 0.02], g: -0.2 }, true),
     ];
     let towards_light = Vec3::new(-0.3, 0.5, 0.8).normalize();
     let phong = Phong { towards_light, ambient: 0.3, diffuse: 0.7, specular: 0.4, shininess: 20.0 };

@@ -21,7 +21,7 @@ dispatch! {
 
 #[inline(always)]
 fn row_body(falloff: &Falloff, [j, k]: [usize; 2], rho: &[f32], out: &mut [f32]) {
-    let Falloff { position: p, spacing: h, floor, axis, outer, slope } = *falloff;
+    let Falloff { position: p, spacing: h, floor, axis, outer, slope, cosine } = *falloff;
     let (y, z) = ((j as f32 - p.y) * h.y, (k as f32 - p.z) * h.z);
     let (rest, along) = (y * y + z * z, y * axis.y + z * axis.z);
     for (i, (o, rho)) in out.iter_mut().zip(rho).enumerate() {
@@ -30,7 +30,7 @@ fn row_body(falloff: &Falloff, [j, k]: [usize; 2], rho: &[f32], out: &mut [f32])
         let r = if square > 1e-30 { square.sqrt() } else { 1e-15 };
         let t = ((x * axis.x + along) / r - outer) * slope;
         let t = t.clamp(0.0, 1.0);
-        *o = rho * (t * t * (3.0 - 2.0 * t) / if square > floor { square } else { floor });
+        *o = rho * (shape(t, cosine) / if square > floor { square } else { floor });
     }
     let near = |at: usize, p: f32| (at as f32 - p).abs() <= Lamp::NEAR;
     if near(j, p.y) && near(k, p.z) {
@@ -41,9 +41,16 @@ fn row_body(falloff: &Falloff, [j, k]: [usize; 2], rho: &[f32], out: &mut [f32])
     }
 }
 
+/// Share of the light at t of a cone's edge.
+#[inline(always)]
+fn shape(t: f32, cosine: f32) -> f32 {
+    let smooth = t * t * (3.0 - 2.0 * t);
+    smooth + cosine * (t - smooth)
+}
+
 /// Mean falloff of a voxel's 4³ points.
 fn mean(falloff: &Falloff, at: [usize; 3]) -> f32 {
-    let Falloff { position, spacing, floor, axis, outer, slope } = *falloff;
+    let Falloff { position, spacing, floor, axis, outer, slope, cosine } = *falloff;
     let parts = Lamp::PARTS;
     let mut sum = 0.0;
     for n in 0..parts.pow(3) {
@@ -52,7 +59,7 @@ fn mean(falloff: &Falloff, at: [usize; 3]) -> f32 {
         let d = (x - position) * spacing;
         let square = d.length_squared();
         let t = ((d.dot(axis) / square.max(1e-30).sqrt() - outer) * slope).clamp(0.0, 1.0);
-        sum += t * t * (3.0 - 2.0 * t) / square.max(floor);
+        sum += shape(t, cosine) / square.max(floor);
     }
     sum / parts.pow(3) as f32
 }

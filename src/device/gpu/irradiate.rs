@@ -18,11 +18,13 @@ pub(super) struct Params {
     axis: Vec3,
     outer: f32,
     slope: f32,
+    cosine: f32,
 }
 
 pub(super) fn irradiate(gpu: &Gpu, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-    let Falloff { position, spacing, floor, axis, outer, slope } = lamp.on(grid, Lamp::PARTS);
-    let params = gpu.uniform(&Params { size: uvec3(grid.size), position, spacing, floor, axis, outer, slope })?;
+    let Falloff { position, spacing, floor, axis, outer, slope, cosine } = lamp.on(grid, Lamp::PARTS);
+    let params =
+        gpu.uniform(&Params { size: uvec3(grid.size), position, spacing, floor, axis, outer, slope, cosine })?;
     let [nx, ny, nz] = grid.size;
     gpu.run(
         &IRRADIATE,

@@ -64,6 +64,7 @@ struct TermParams {
     floor: f32,
     outer: f32,
     slope: f32,
+    cosine: f32,
 }
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
@@ -228,14 +229,15 @@ fn term_params(term: &Term, held: &Range<usize>, data: &Grid) -> TermParams {
         floor: 0.0,
         outer: 0.0,
         slope: 0.0,
+        cosine: 0.0,
     };
     match term.weight {
         Weight::Uniform(weight) => plain(0, weight, Vec3::ZERO, 0.0),
         Weight::Phase { direction, irradiance, g } => plain(1, irradiance, direction, g),
         Weight::Current { axis, weight } => plain(2, weight, Vec3::AXES[axis], 0.0),
         Weight::Lamp { lamp, intensity, g } => {
-            let Falloff { position, floor, axis, outer, slope, .. } = lamp.on(data, 1);
-            TermParams { position, floor, outer, slope, ..plain(3, intensity, axis, g) }
+            let Falloff { position, floor, axis, outer, slope, cosine, .. } = lamp.on(data, 1);
+            TermParams { position, floor, outer, slope, cosine, ..plain(3, intensity, axis, g) }
         }
     }
 }

@@ -237,7 +237,8 @@ fn lamp<V: Lanes>(falloff: &Falloff, g: f32, direction: [V; 3], position: [V; 3]
     let r = square.max(V::splat(1e-30)).sqrt();
     let t = (dot(way, falloff.axis) / r - V::splat(falloff.outer)) * V::splat(falloff.slope);
     let t = t.max(V::splat(0.0)).min(V::splat(1.0));
-    let shape = t * t * (V::splat(3.0) - V::splat(2.0) * t) / square.max(V::splat(falloff.floor));
+    let smooth = t * t * (V::splat(3.0) - V::splat(2.0) * t);
+    let shape = (smooth + V::splat(falloff.cosine) * (t - smooth)) / square.max(V::splat(falloff.floor));
     // The way to the eye is −direction.
     shape * phase(g, V::splat(0.0) - dots(direction, way) / r)
 }

@@ -94,7 +94,7 @@ impl Case {
         let coarse = buffer(noise(self.seed + 3, self.light.len()));
         let direction = Vec3::new(0.3, -0.5, -0.8).normalize();
         let (lo, hi) = self.grid.bounds();
-        let cone = Cone { axis: direction, outer: -0.3, inner: 0.4 };
+        let cone = Cone { axis: direction, outer: -0.3, inner: 0.4, cosine: false };
         let lamp = Lamp { position: lo + 0.3 * (hi - lo), radius: 0.2, cone: Some(cone) };
         let term = |values, grid, weight| Term { values, grid, weight };
         let terms = [

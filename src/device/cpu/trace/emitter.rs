@@ -7,6 +7,7 @@ use std::f32::consts::{PI, TAU};
 
 use glam::Vec3;
 
+use super::shapes;
 use crate::device::emitter::{Emitter, Hit, Sample, Shape};
 
 /// A way from `point` to `emitter`, drawn by three numbers in 0..1; `None` where none of its light gets there.
@@ -35,13 +36,13 @@ pub fn sample(emitter: &Emitter, images: &[f32], point: Vec3, xi: [f32; 3]) -> O
             let radiance = emitter.radiance * background(emitter, images, direction);
             Some(Sample { direction, distance: f32::INFINITY, radiance, pdf })
         }
-        _ => None,
+        _ => shapes::sample(emitter, images, point, xi),
     }
 }
 
 /// Where a ray meets `emitter`; `None` where it does not.
 #[inline]
-pub fn hit(emitter: &Emitter, images: &[f32], _origin: Vec3, direction: Vec3) -> Option<Hit> {
+pub fn hit(emitter: &Emitter, images: &[f32], origin: Vec3, direction: Vec3) -> Option<Hit> {
     match emitter.shape {
         Shape::Distant if emitter.edge < 1.0 && -direction.dot(emitter.axis) >= emitter.edge => {
             let pdf = 1.0 / (TAU * (1.0 - emitter.edge)).max(1e-12);
@@ -55,7 +56,8 @@ pub fn hit(emitter: &Emitter, images: &[f32], _origin: Vec3, direction: Vec3) ->
             };
             Some(Hit { distance: f32::INFINITY, radiance, pdf })
         }
-        _ => None,
+        Shape::Distant | Shape::Point => None,
+        _ => shapes::hit(emitter, images, origin, direction),
     }
 }
 
@@ -107,7 +109,7 @@ fn background(emitter: &Emitter, images: &[f32], direction: Vec3) -> Vec3 {
 
 /// The pixel of an equirectangular image towards a unit direction: see [`Panorama`](crate::lights::Panorama).
 #[inline]
-fn pixel([_, width, height]: [u32; 3], direction: Vec3) -> [usize; 2] {
+pub(super) fn pixel([_, width, height]: [u32; 3], direction: Vec3) -> [usize; 2] {
     let u = 0.5 + direction.x.atan2(direction.y) / TAU;
     let v = direction.z.clamp(-1.0, 1.0).acos() / PI;
     let at = |t: f32, n: u32| ((t * n as f32) as u32).min(n - 1) as usize;

@@ -1,3 +1,4 @@
 //! Path tracing on the CPU.
 
 pub mod emitter;
+pub mod shapes;
