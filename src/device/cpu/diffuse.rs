@@ -9,8 +9,8 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
+use super::shared::Shared;
 use super::simd::{dispatch, prefetch};
-use super::sweep::Shared;
 
 /// Values of a column of planes: the ring for a usual kernel (17 planes) fits into a first-level cache; 256 and 2048 were slower.
 const COLUMN: usize = 512;

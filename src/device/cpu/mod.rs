@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use crate::device::convection::{Convected, Convection, Layers, Spread};
+use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -10,6 +10,7 @@ use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
 pub(crate) mod bricks;
+mod characteristic;
 pub(crate) mod classify;
 mod combine;
 mod compose;
@@ -17,12 +18,13 @@ mod convect;
 mod diffuse;
 pub(crate) mod extend;
 pub mod float;
+mod fronts;
 mod irradiate;
 pub mod march;
 mod relax;
+mod shared;
 pub mod simd;
 mod source;
-mod spread;
 pub(crate) mod sweep;
 mod sweep_cubic;
 mod sweep_point;
@@ -207,11 +209,6 @@ impl Device for Cpu {
     ) -> Result<Vec<f32>> {
         let (sigma, rho) = (host(sigma), host_mut(rho));
         Ok(self.pool.install(|| convect::ordered::convect(convection, layout, sigma, rho, fronts)))
-    }
-
-    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.pool.install(|| spread::spread(size, spread, host(rho), host_mut(out)));
-        Ok(())
     }
 
     fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {

@@ -3,8 +3,8 @@
 
 use rayon::prelude::*;
 
+use super::shared::Shared;
 use super::simd::dispatch;
-use super::sweep::Shared;
 
 /// rhs, v → v relaxed where i + j + k has the parity of `colour`.
 pub(crate) fn relax(size: [usize; 3], coupling: [f32; 3], rhs: &[f32], values: &mut [f32], colour: usize) {

@@ -9,94 +9,13 @@
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-use super::simd::{dispatch, exp, prefetch};
+use super::characteristic::{Axes, LINE, Scratch, first_line, line, weights};
+use super::fronts::front_by_front;
+use super::shared::Shared;
+use super::simd::{dispatch, prefetch};
 use super::sweep_x::region_along_x;
 use crate::device::Sweep;
 use crate::grid::{BrickLayout, Region};
-
-/// Values in a cache line.
-pub(super) const LINE: usize = 16;
-
-/// Axes of a sweep: layers along the dominant axis, rows and columns across it (columns contiguous where possible), and
-/// the lateral offset of the foot, in voxels per layer.
-#[derive(Clone, Copy)]
-pub(super) struct Axes {
-    pub(super) layer: usize,
-    pub(super) row: usize,
-    pub(super) col: usize,
-    pub(super) ascending: bool,
-    pub(super) row_offset: f32,
-    pub(super) col_offset: f32,
-}
-
-impl Axes {
-    fn new(sweep: &Sweep) -> Self {
-        let layer = sweep.axis();
-        let (row, col) = [(2, 1), (2, 0), (1, 0)][layer];
-        let d = sweep.direction;
-        let per_layer = |a: usize| (d[a] / d[layer].abs()).clamp(-1.0, 1.0);
-        Axes { layer, row, col, ascending: d[layer] >= 0.0, row_offset: per_layer(row), col_offset: per_layer(col) }
-    }
-}
-
-/// Values shared between threads that write disjoint parts of them.
-#[derive(Clone, Copy)]
-pub(super) struct Shared(*mut f32, usize);
-// SAFETY: only `row` gives access, and its callers vouch that nobody else writes those values.
-unsafe impl Send for Shared {}
-// SAFETY: as above.
-unsafe impl Sync for Shared {}
-
-impl Shared {
-    pub(super) fn new(values: &mut [f32]) -> Self {
-        Shared(values.as_mut_ptr(), values.len())
-    }
-
-    /// Values that are only read.
-    pub(super) fn reading(values: &[f32]) -> Self {
-        Shared(values.as_ptr().cast_mut(), values.len())
-    }
-
-    /// One value that nobody writes now.
-    #[inline(always)]
-    pub(super) fn get(self, at: usize) -> f32 {
-        self.check(at, 1);
-        // SAFETY: in bounds; fronts order reads after writes.
-        unsafe { *self.0.add(at) }
-    }
-
-    /// `n` values from `at` on that nobody writes while the slice lives.
-    #[inline(always)]
-    pub(super) fn read<'a>(self, at: usize, n: usize) -> &'a [f32] {
-        self.check(at, n);
-        // SAFETY: in bounds; fronts order reads after writes.
-        unsafe { std::slice::from_raw_parts(self.0.add(at), n) }
-    }
-
-    /// `n` values from `at` on.
-    ///
-    /// # Safety
-    /// No other thread reads or writes them while the slice lives, and no other slice of them lives in this thread.
-    #[inline(always)]
-    #[allow(clippy::mut_from_ref)]
-    pub(super) unsafe fn row<'a>(self, at: usize, n: usize) -> &'a mut [f32] {
-        self.check(at, n);
-        // SAFETY: in bounds; the caller vouches for the rest.
-        unsafe { std::slice::from_raw_parts_mut(self.0.add(at), n) }
-    }
-
-    /// Panics unless `n` values from `at` on exist.
-    #[inline(always)]
-    pub(super) fn check(self, at: usize, n: usize) {
-        assert!(at + n <= self.1, "a row beyond the grid");
-    }
-
-    /// Address of a value.
-    #[inline(always)]
-    pub(super) fn at(self, at: usize) -> *mut f32 {
-        self.0.wrapping_add(at)
-    }
-}
 
 /// reads σ, ρ upstream → writes ρ of the listed bricks; returns the largest change on each brick's downstream faces.
 pub(crate) fn sweep(
@@ -120,22 +39,10 @@ pub(crate) fn sweep(
         whole(&axes, sweep, sigma, shared);
         return vec![f32::INFINITY; listed];
     }
-    let mut changes = Vec::with_capacity(listed);
-    for front in fronts {
-        let one = |&b: &u32| {
-            SCRATCH.with_borrow_mut(|scratch| {
-                let region = layout.region(b as usize);
-                let solve = if axes.layer == 0 { region_along_x } else { brick };
-                solve(&axes, sweep, region, sigma, shared, scratch, true)
-            })
-        };
-        if front.len() == 1 {
-            changes.push(one(&front[0]));
-        } else {
-            changes.par_extend(front.par_iter().with_max_len(1).map(one));
-        }
-    }
-    changes
+    let solve = if axes.layer == 0 { region_along_x } else { brick };
+    front_by_front(layout, fronts, |region| {
+        SCRATCH.with_borrow_mut(|scratch| solve(&axes, sweep, region, sigma, shared, scratch, true))
+    })
 }
 
 /// The whole grid, when nothing is to be skipped: blocks long in memory, so that it is read in long runs. Bit for bit what the
@@ -204,16 +111,10 @@ fn block_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Sh
     let weights = weights(axes);
     let half = -0.5 * sweep.length;
     let (forward, row_forward) = (axes.col_offset >= 0.0, axes.row_offset >= 0.0);
-    // SAFETY: rows of the layer before, written by this block or by blocks of earlier diagonals.
-    let read = |at: usize| unsafe {
-        debug_assert!(at + n <= rho.1);
-        std::slice::from_raw_parts(rho.0.add(at), n)
-    };
+    // Rows of the layer before, written by this block or by blocks of earlier diagonals.
+    let read = |at: usize| rho.read(at, n);
     // SAFETY: a row of this block, read and written by nobody else on this diagonal and not part of the layer before.
-    let write = |at: usize| unsafe {
-        debug_assert!(at + n <= rho.1);
-        std::slice::from_raw_parts_mut(rho.0.add(at), n)
-    };
+    let write = |at: usize| unsafe { rho.row(at, n) };
     for l in 0..region.size[axes.layer] {
         let layer = if axes.ascending { region.start[axes.layer] + l } else { region.end()[axes.layer] - 1 - l };
         let before =
@@ -252,36 +153,6 @@ fn block_body(axes: &Axes, sweep: &Sweep, region: Region, sigma: &[f32], rho: Sh
                 half,
                 &mut out[e],
             );
-        }
-    }
-}
-
-/// Bilinear weights of the foot: own row and column, upstream column, upstream row, both.
-#[inline(always)]
-pub(super) fn weights(axes: &Axes) -> [f32; 4] {
-    let (r, c) = (axes.row_offset.abs(), axes.col_offset.abs());
-    [(1.0 - r) * (1.0 - c), (1.0 - r) * c, r * (1.0 - c), r * c]
-}
-
-/// The first layer: half a voxel inside the box.
-#[inline(always)]
-pub(super) fn first_line(sigma: &[f32], half: f32, out: &mut [f32]) {
-    out.iter_mut().zip(sigma).for_each(|(o, s)| *o = exp(half * s));
-}
-
-/// Two planes of a gathered brick: the layer before and the one in hand.
-#[derive(Default)]
-pub(super) struct Scratch {
-    pub(super) sigma: Vec<f32>,
-    pub(super) rho: Vec<f32>,
-}
-
-impl Scratch {
-    /// Room for `len` values of each.
-    pub(super) fn fit(&mut self, len: usize) {
-        if self.sigma.len() < len {
-            self.sigma.resize(len, 0.0);
-            self.rho.resize(len, 0.0);
         }
     }
 }
@@ -463,17 +334,4 @@ fn scatter(
         old.copy_from_slice(new);
     }
     change
-}
-
-/// One row of a layer. A function of its own, so that the compiler knows that nothing overlaps.
-#[inline(always)]
-pub(super) fn line(rho: [&[f32]; 4], sigma_up: [&[f32]; 4], sigma: &[f32], w: [f32; 4], half: f32, out: &mut [f32]) {
-    let n = out.len();
-    let ([a, b, c, d], [sa, sb, sc, sd]) = (rho.map(|v| &v[..n]), sigma_up.map(|v| &v[..n]));
-    let sigma = &sigma[..n];
-    for i in 0..n {
-        let rho_foot = (w[0] * a[i] + w[1] * b[i]) + (w[2] * c[i] + w[3] * d[i]);
-        let sigma_foot = (w[0] * sa[i] + w[1] * sb[i]) + (w[2] * sc[i] + w[3] * sd[i]);
-        out[i] = rho_foot * exp(half * (sigma_foot + sigma[i]));
-    }
 }

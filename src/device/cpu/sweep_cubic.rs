@@ -5,8 +5,9 @@
 use rayon::prelude::*;
 use std::cell::RefCell;
 
+use super::characteristic::Axes;
+use super::shared::Shared;
 use super::simd::{dispatch, exp, transpose};
-use super::sweep::{Axes, Shared};
 use crate::device::Sweep;
 
 /// Voxels of padding round a plane: a foot reaches at most 1 + 2 voxels away.

@@ -14,11 +14,12 @@
 //! need each other in the layer before. A brick that ends at that plane solves the neighbour's column too (its *ghost*), so
 //! that no two bricks wait for each other and the result does not depend on where bricks end.
 
-use rayon::prelude::*;
 use std::cell::RefCell;
 
+use super::fronts::front_by_front;
+use super::shared::Shared;
 use super::simd::{dispatch, exp};
-use super::sweep::Shared;
+
 use crate::device::{Edge, PointSweep};
 use crate::grid::{BrickLayout, Region};
 
@@ -33,19 +34,10 @@ pub(crate) fn sweep_point(
     let voxels: usize = sweep.size.iter().product();
     assert!(sigma.len() >= voxels && rho.len() >= voxels && layout.size == sweep.size, "buffers must hold the grid");
     let rho = Shared::new(rho);
-    let listed = fronts.iter().map(|f| f.len()).sum();
-    let compare = listed < layout.len();
-    let mut changes = Vec::with_capacity(listed);
-    for front in fronts {
-        let one = |&b: &u32| {
-            SCRATCH.with_borrow_mut(|scratch| brick(sweep, layout.region(b as usize), sigma, rho, scratch, compare))
-        };
-        if front.len() == 1 {
-            changes.push(one(&front[0]));
-        } else {
-            changes.par_extend(front.par_iter().with_max_len(1).map(one));
-        }
-    }
+    let compare = fronts.iter().map(|front| front.len()).sum::<usize>() < layout.len();
+    let mut changes = front_by_front(layout, fronts, |region| {
+        SCRATCH.with_borrow_mut(|scratch| brick(sweep, region, sigma, rho, scratch, compare))
+    });
     if !compare {
         changes.fill(f32::INFINITY);
     }

@@ -3,8 +3,9 @@
 //! back. Of the upstream row only what it gives the feet of this one is kept, `w₂ρ + w₃ρ_beside` and the same of σ, and
 //! replaced in passing by what this row gives the next.
 
+use super::characteristic::{Axes, LINE, Scratch, first_line, weights};
+use super::shared::Shared;
 use super::simd::{dispatch, exp, prefetch, transpose};
-use super::sweep::{Axes, LINE, Scratch, Shared, first_line, weights};
 use crate::device::Sweep;
 use crate::grid::Region;
 
@@ -191,7 +192,7 @@ fn lend(own: &[f32], beside: &[f32], w: [f32; 4], out: &mut [f32]) {
     }
 }
 
-/// One row of a layer, in the order of [`super::sweep::line`] so that its bits are the same; `rho_feet` and `sigma_feet` hold
+/// One row of a layer, in the order of [`super::characteristic::line`] so that its bits are the same; `rho_feet` and `sigma_feet` hold
 /// what the upstream row gives and then what this one does.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]

@@ -4,8 +4,9 @@ use rayon::prelude::*;
 
 use super::{Row, entering, entering_row, largest_change, transmitted, ways, with_row};
 use crate::device::convection::{Convection, Opacity};
+use crate::device::cpu::fronts::front_by_front;
+use crate::device::cpu::shared::Shared;
 use crate::device::cpu::simd::dispatch;
-use crate::device::cpu::sweep::Shared;
 use crate::grid::{BrickLayout, Region};
 
 /// reads σ, ρ upstream → writes ρ of the listed bricks; returns the largest change on each brick's downstream faces.
@@ -27,15 +28,7 @@ pub(crate) fn convect(
         whole(convection, sigma, shared);
         return vec![f32::INFINITY; listed];
     }
-    let mut changes = Vec::with_capacity(listed);
-    for front in fronts {
-        let one = |&b: &u32| solve(convection, layout.region(b as usize), sigma, shared, true);
-        match front {
-            [b] => changes.push(one(b)),
-            many => changes.par_extend(many.par_iter().with_max_len(1).map(one)),
-        }
-    }
-    changes
+    front_by_front(layout, fronts, |region| solve(convection, region, sigma, shared, true))
 }
 
 /// The whole grid: boxes of whole rows, of which those on a diagonal are independent. Bit for bit what the bricks give.

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::kept_row;
 use crate::device::convection::{Convected, Convection, Layers, Rays, Start};
+use crate::device::cpu::shared::Shared;
 use crate::device::cpu::simd::dispatch;
-use crate::device::cpu::sweep::Shared;
 
 /// Layers of a task: one cache line of values along x.
 const BLOCK: usize = 16;
