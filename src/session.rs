@@ -130,12 +130,6 @@ impl Session {
         self.state = None;
     }
 
-    /// Computes on another device from the next step on, which is lit from scratch.
-    pub fn move_to(&mut self, device: Arc<dyn Device>) {
-        self.state = None;
-        self.device = device;
-    }
-
     /// True when steps are read a slab at a time, as they are lit.
     pub fn pages(&self) -> bool {
         self.device.pages()
@@ -172,24 +166,27 @@ impl Session {
         self.kept = Some(kept);
     }
 
-    /// Lights and renders one step.
-    ///
-    /// Where a device fails or has no memory left, another one goes on ([`Device::instead`]), from a cold start; that is said in
-    /// the log.
+    /// Goes on with what the device names for the case that it fails ([`Device::instead`]), from a cold start; its name.
+    pub(crate) fn fall_back(&mut self) -> Option<String> {
+        self.device = self.device.instead()?;
+        self.state = None;
+        Some(self.device.name())
+    }
+
+    /// Lights and renders one step. Where a device fails or has no memory left, another one goes on; that is said in the log.
     pub fn advance(&mut self, step: Timestep) -> Result<Output> {
         loop {
-            let failed = match self.advance_once(&step) {
+            let failed = match self.try_advance(&step) {
                 Err(e @ (Error::Device(_) | Error::OutOfMemory { .. })) => e,
                 done => return done,
             };
-            let Some(next) = self.device.instead() else { return Err(failed) };
-            tracing::warn!("step {}: {failed}\n  going on with {}", step.step, next.name());
-            self.state = None;
-            self.device = next;
+            let Some(next) = self.fall_back() else { return Err(failed) };
+            tracing::warn!("step {}: {failed}\n  going on with {next}", step.step);
         }
     }
 
-    fn advance_once(&mut self, step: &Timestep) -> Result<Output> {
+    /// The same on the device at hand only.
+    pub(crate) fn try_advance(&mut self, step: &Timestep) -> Result<Output> {
         let device = &*self.device;
         let state = match &mut self.state {
             Some(state) => state,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use gloaming::device::convection::{Convected, Convection, Layers, Spread};
+use gloaming::device::convection::{Convected, Convection, Layers};
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Transport};
 use gloaming::field::{Dense, Timestep};
@@ -29,6 +29,8 @@ enum Fault {
 struct Faulty {
     inner: Cpu,
     name: &'static str,
+    /// Whether another device goes on with its work.
+    replaced: bool,
     fault: Fault,
     at: u32,
     /// Steps begun: each hands over its data once.
@@ -50,6 +52,9 @@ impl Faulty {
 impl Device for Faulty {
     fn name(&self) -> String {
         self.name.into()
+    }
+    fn instead(&self) -> Option<Arc<dyn Device>> {
+        self.replaced.then(|| Arc::new(Cpu::new(1).unwrap()) as _)
     }
     fn alloc(&self, len: usize) -> Result<Buffer> {
         self.inner.alloc(len)
@@ -126,9 +131,6 @@ impl Device for Faulty {
     ) -> Result<Vec<f32>> {
         unreachable!()
     }
-    fn spread(&self, _: [usize; 3], _: &Spread, _: &Buffer, _: &mut Buffer) -> Result<()> {
-        unreachable!()
-    }
     fn diffuse(&self, _: [usize; 3], _: [&[f32]; 3], _: &mut Buffer) -> Result<()> {
         unreachable!()
     }
@@ -156,7 +158,7 @@ impl Device for Faulty {
 const SIZE: [usize; 3] = [12, 14, 16];
 
 /// Eight steps on a device that fails at step 3: figures, rows, and the pictures of a session without a fault to hold against.
-fn run(name: &'static str, fault: Fault) -> (Stats, Vec<LedgerRow>, Vec<(bool, bool)>) {
+fn run(name: &'static str, replaced: bool, fault: Fault) -> (Stats, Vec<LedgerRow>, Vec<(bool, bool)>) {
     let session = |device: Arc<dyn Device>| {
         let out = tempfile::tempdir().unwrap();
         let mut scene = Scene::parse(
@@ -176,7 +178,7 @@ fn run(name: &'static str, fault: Fault) -> (Stats, Vec<LedgerRow>, Vec<(bool, b
         (lit.close().unwrap(), out)
     };
     let inner = Cpu::new(1).unwrap();
-    let (stats, out) = session(Arc::new(Faulty { inner, name, fault, at: 3, steps: AtomicU32::new(0) }));
+    let (stats, out) = session(Arc::new(Faulty { inner, name, replaced, fault, at: 3, steps: AtomicU32::new(0) }));
     let (_, sound) = session(Arc::new(Cpu::new(1).unwrap()));
     let same = |step: u64| {
         let read = |folder: &tempfile::TempDir| std::fs::read(folder.path().join(format!("f_{step}.png"))).ok();
@@ -190,8 +192,8 @@ fn run(name: &'static str, fault: Fault) -> (Stats, Vec<LedgerRow>, Vec<(bool, b
 /// The step in hand is lit again on the CPU: nothing is lost.
 #[test]
 fn a_lost_device_is_replaced_by_the_cpu() {
-    for fault in [Fault::Lost, Fault::Panic] {
-        let (stats, rows, frames) = run("a GPU", fault);
+    for fault in [Fault::Lost, Fault::Panic, Fault::Memory] {
+        let (stats, rows, frames) = run("a GPU", true, fault);
         assert_eq!((stats.lit, stats.lost), (8, 0), "{stats:?}");
         let starts: String = rows.iter().map(|r| &r.start[..1]).collect();
         assert_eq!(starts, "cwwcwwww", "the step that failed is lit from scratch, the next ones from it");
@@ -204,7 +206,7 @@ fn a_lost_device_is_replaced_by_the_cpu() {
 #[test]
 fn a_kernel_that_fails_costs_its_step() {
     for (fault, why) in [(Fault::Panic, "a bug in a kernel"), (Fault::Memory, "out of memory")] {
-        let (stats, rows, frames) = run("cpu (faulty)", fault);
+        let (stats, rows, frames) = run("cpu (faulty)", false, fault);
         assert_eq!((stats.lit, stats.lost), (7, 1), "{stats:?}");
         assert!(rows[3].lost.contains(why), "{}", rows[3].lost);
         let there: Vec<bool> = frames.iter().map(|f| f.0).collect();

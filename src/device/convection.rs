@@ -95,23 +95,6 @@ pub struct Convected {
     pub updates: u64,
 }
 
-/// What of a light from one place reaches a voxel, beside ρ: `cone · 1/max(r², nearest)`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Spread {
-    /// The place, in voxels.
-    pub position: [f32; 3],
-    /// Δx, Δy, Δz, world lengths.
-    pub spacing: [f32; 3],
-    /// The cone's axis, unit.
-    pub axis: [f32; 3],
-    /// Cosine of the angle to the axis within which the light is whole.
-    pub inner: f32,
-    /// Cosine of the angle beyond which there is none; smooth (3t² − 2t³) between the two. Below −1 where there is no cone.
-    pub outer: f32,
-    /// r² below which 1/r² no longer grows; 0 for light that does not fall off.
-    pub nearest: f32,
-}
-
 impl Convection {
     /// Rows of a strip: iterations of a layer run strip by strip, so that strips on a diagonal run at the same time.
     pub const STRIP: usize = 32;

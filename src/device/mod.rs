@@ -11,7 +11,7 @@ use crate::field::{self, Field};
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
-use convection::{Convected, Convection, Layers, Spread};
+use convection::{Convected, Convection, Layers};
 
 mod buffer;
 pub mod convection;
@@ -215,9 +215,6 @@ pub trait Device: Send + Sync {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>>;
-
-    /// `out = ρ · cone · 1/r²` of a light from one place: see [`Spread`].
-    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()>;
 
     /// Diffusion in place, exact in time: a convolution with a symmetric kernel along x, y and z, of which `weights` hold the
     /// middle and one side; mirrors at the faces.

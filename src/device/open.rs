@@ -15,20 +15,20 @@ use crate::error::Result;
 /// [`Error::Device`](crate::Error::Device) when there is no such device, naming what there is.
 pub fn open(name: &str, threads: usize) -> Result<Arc<dyn Device>> {
     match name {
-        "auto" => match hardware() {
+        "auto" => match hardware(threads) {
             Some(gpu) => Ok(gpu),
             None => Ok(Arc::new(Cpu::new(threads)?)),
         },
         "cpu" => Ok(Arc::new(Cpu::new(threads)?)),
-        "gpu" => open_gpu(None),
-        name => open_gpu(Some(name)),
+        "gpu" => open_gpu(None, threads),
+        name => open_gpu(Some(name), threads),
     }
 }
 
 #[cfg(feature = "gpu")]
-fn hardware() -> Option<Arc<dyn Device>> {
+fn hardware(threads: usize) -> Option<Arc<dyn Device>> {
     match Gpu::hardware() {
-        Ok(gpu) => gpu.map(|gpu| Arc::new(gpu) as Arc<dyn Device>),
+        Ok(gpu) => gpu.map(|gpu| Arc::new(gpu.with_threads(threads)) as Arc<dyn Device>),
         Err(e) => {
             tracing::debug!("{e}");
             None
@@ -37,16 +37,16 @@ fn hardware() -> Option<Arc<dyn Device>> {
 }
 
 #[cfg(not(feature = "gpu"))]
-fn hardware() -> Option<Arc<dyn Device>> {
+fn hardware(_: usize) -> Option<Arc<dyn Device>> {
     None
 }
 
 #[cfg(feature = "gpu")]
-fn open_gpu(name: Option<&str>) -> Result<Arc<dyn Device>> {
-    Ok(Arc::new(Gpu::open(name)?))
+fn open_gpu(name: Option<&str>, threads: usize) -> Result<Arc<dyn Device>> {
+    Ok(Arc::new(Gpu::open(name)?.with_threads(threads)))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn open_gpu(_: Option<&str>) -> Result<Arc<dyn Device>> {
+fn open_gpu(_: Option<&str>, _: usize) -> Result<Arc<dyn Device>> {
     Err(crate::Error::Device("built without GPU support (feature `gpu`)\n  try: --device cpu".into()))
 }

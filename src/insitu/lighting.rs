@@ -10,9 +10,8 @@ use crossbeam_channel::{Sender, bounded};
 use super::queue::{Arrived, Next, Queue};
 use super::writing::{Handed, Writing};
 use super::{Opening, say};
-use crate::device::cpu::Cpu;
+use crate::device;
 use crate::device::cpu::float::DefaultFloat;
-use crate::device::{self, Device};
 use crate::error::{Error, Result, panic_text};
 use crate::field::Timestep;
 use crate::ledger::{Ledger, LedgerRow};
@@ -28,9 +27,6 @@ const DEPTH: usize = 2;
 pub(super) struct Lighting {
     session: Session,
     queue: Arc<Queue>,
-    threads: usize,
-    /// Computing on the CPU already: there is nothing to fall back to.
-    on_cpu: bool,
     /// Where the light is left at the end.
     light_state: Option<PathBuf>,
     /// When resuming: the outputs, asked only for the files that a step has.
@@ -99,14 +95,13 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
         None => device::open(&keys.device, threads)?,
     };
     let wants_light = all.iter().any(|s| s.wants_light());
-    let on_cpu = on_cpu(&*device);
     let mut session = Session::new(device, scene, None, wants_light)?;
     if let Some(kept) = kept {
         session.start_from(kept);
     }
     keys.light_change.into_iter().for_each(|change| session.only_when_light_changes(change));
     let writing = Writing::new(all, ledger, queue.clone());
-    Ok((Lighting { session, queue, threads, on_cpu, light_state: keys.light_state, complete }, writing))
+    Ok((Lighting { session, queue, light_state: keys.light_state, complete }, writing))
 }
 
 /// Keeps this thread, and those that it will start, on the cores of the settings.
@@ -124,10 +119,6 @@ fn stay_on(keys: &InSituKeys) -> Result<()> {
     }
     #[cfg(not(target_os = "linux"))]
     Err(Error::Unsupported("insitu.cores: threads can be kept on cores on Linux only; threads = N bounds them".into()))
-}
-
-fn on_cpu(device: &dyn Device) -> bool {
-    device.name().starts_with("cpu")
 }
 
 impl Lighting {
@@ -169,7 +160,7 @@ impl Lighting {
             say(&format!("step {}: the grid changed from {:?} to {:?}: lit from scratch", step.step, sizes.0, sizes.1));
             self.session.forget();
         }
-        let lit = self.advance(&step).or_else(|e| self.fall_back(&step, e));
+        let lit = self.advance(&step);
         drop(step);
         self.queue.recycle(copy);
         let LedgerRow { held_ms, queue_depth, drops, bytes, .. } = pushed;
@@ -189,25 +180,24 @@ impl Lighting {
         !self.complete.is_empty() && self.complete.iter().all(|sink| has_all(sink.paths(step)))
     }
 
+    /// Lights a step; where a device fails, has no memory left or panics, another one goes on, which the simulation's user is
+    /// told.
     fn advance(&mut self, step: &Timestep) -> Result<Output> {
-        let lit = catch_unwind(AssertUnwindSafe(|| self.session.advance(step.clone())));
-        let lit = lit.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))));
-        if !matches!(lit, Ok(_) | Err(Error::Format { .. } | Error::Io { .. })) {
-            // The light may be half one step's, half the other's.
-            self.session.forget();
+        loop {
+            let lit = catch_unwind(AssertUnwindSafe(|| self.session.try_advance(step)));
+            let lit = lit.unwrap_or_else(|panic| Err(Error::Bug(panic_text(&*panic))));
+            let Err(why @ (Error::Device(_) | Error::OutOfMemory { .. } | Error::Bug(_))) = lit else {
+                if !matches!(lit, Ok(_) | Err(Error::Format { .. } | Error::Io { .. })) {
+                    // The light may be half one step's, half the other's.
+                    self.session.forget();
+                }
+                return lit;
+            };
+            let Some(next) = self.session.fall_back() else {
+                self.session.forget();
+                return Err(why);
+            };
+            say(&format!("step {}: {why}\n  going on with {next}", step.step));
         }
-        lit
-    }
-
-    /// Lights a step on the CPU, from now on, when it is the device that failed.
-    fn fall_back(&mut self, step: &Timestep, why: Error) -> Result<Output> {
-        if self.on_cpu || !matches!(why, Error::Device(_) | Error::Bug(_)) {
-            return Err(why);
-        }
-        let cpu = Cpu::new(self.threads)?;
-        say(&format!("step {}: {why}\n  going on with {}", step.step, cpu.name()));
-        self.session.move_to(Arc::new(cpu));
-        self.on_cpu = true;
-        self.advance(step)
     }
 }

@@ -20,8 +20,8 @@ use std::f32::consts::FRAC_PI_2;
 use std::time::{Duration, Instant};
 
 use super::{IlluminatedVolume, SolveReport};
-use crate::device::convection::{Convection, Layers, Opacity, Rays, Spread, Start};
-use crate::device::{Buffer, Device, Optic, Term, Weight};
+use crate::device::convection::{Convection, Layers, Opacity, Rays, Start};
+use crate::device::{Buffer, Cone, Device, Lamp, Optic, Term, Weight};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::{Cell, Light};
@@ -42,7 +42,7 @@ pub(super) struct Unknowns {
     lights: Vec<Convected>,
     /// The composed and diffused light, one channel where all are the same.
     light: Vec<Buffer>,
-    /// What it was composed of: each light's colour and spread, and the environment.
+    /// What it was composed of: each light's colour and lamp, and the environment.
     composed: Option<(Vec<Source>, [f32; 3])>,
 }
 
@@ -64,9 +64,9 @@ struct Convected {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Source {
     convection: Convection,
-    spread: Option<Spread>,
+    lamp: Option<Lamp>,
     colour: [f32; 3],
-    /// Largest factor that `spread` puts on ρ.
+    /// Largest factor that `lamp` puts on ρ.
     nearest: f32,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Paper {
     sigma: [Buffer; 2],
     solved: bool,
     diffusion: Diffusion,
-    spread: Vec<Buffer>,
+    irradiance: Vec<Buffer>,
     ones: Option<Buffer>,
     /// The light that comes first when the time is short.
     turn: usize,
@@ -101,7 +101,7 @@ impl Paper {
             layout: BrickLayout::new(grid.size, EDGE),
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
-            spread: vec![],
+            irradiance: vec![],
             ones: None,
             turn: 0,
             opacity,
@@ -152,7 +152,7 @@ impl Paper {
         let (place, colour, radius, cone) = match *light {
             Light::Distant { direction, irradiance } => {
                 let convection = Convection::distant(grid, direction, self.opacity);
-                return Some(Source { convection, spread: None, colour: irradiance, nearest: 1.0 });
+                return Some(Source { convection, lamp: None, colour: irradiance, nearest: 1.0 });
             }
             Light::Point { position, radius, intensity } => (position, intensity, radius, None),
             Light::Cone { position, direction, angle, edge, radius, intensity } => {
@@ -169,25 +169,14 @@ impl Paper {
         let farthest = (place - lo).abs().max((place - hi).abs()).length();
         let width = (!physical).then(|| self.keys.width.unwrap_or(farthest));
         let convection = Convection::central(grid, place, width, self.opacity);
-        let Rays::Central { position, .. } = convection.rays else { unreachable!("light from one place") };
-        // A light's own voxel would be infinitely bright: 1/r² is held within half a voxel.
-        let nearest = radius.max(0.5 * grid.mean_spacing()).powi(2) as f32;
-        let (axis, inner, outer) = match cone {
-            Some((axis, angle, edge)) => {
-                let outer = angle.cos();
-                (axis.to_array(), (angle - edge).cos().max(outer + 1e-6), outer)
-            }
-            None => ([0.0; 3], -2.0, -3.0),
-        };
-        let spread = (physical || cone.is_some()).then_some(Spread {
-            position,
-            spacing: grid.spacing.map(|d| d as f32),
-            axis,
-            inner,
-            outer,
-            nearest: if physical { nearest } else { 0.0 },
-        });
-        Some(Source { convection, spread, colour, nearest: if physical { 1.0 / nearest } else { 1.0 } })
+        let cone = cone.map(|(axis, angle, edge)| Cone { axis, outer: angle.cos(), inner: (angle - edge).cos() });
+        // 1/r² is held within half a voxel: a light's own voxel would be infinitely bright. Light that falls off as it is
+        // convected is held in the whole grid, and its colour makes up for it.
+        let radius = if physical { radius.max(0.5 * grid.mean_spacing()) } else { 2.0 * farthest };
+        let nearest = 1.0 / (radius * radius) as f32;
+        let lamp = (physical || cone.is_some()).then_some(Lamp { position: place, radius, cone });
+        let colour = if lamp.is_none() || physical { colour } else { colour.map(|c| c / nearest) };
+        Some(Source { convection, lamp, colour, nearest: if lamp.is_some() { nearest } else { 1.0 } })
     }
 
     /// Convects what has to be; true when some ρ is another one now.
@@ -374,15 +363,15 @@ impl Paper {
         if volume.light.len() != channels {
             volume.light = (0..channels).map(|_| device.alloc(voxels)).collect::<Result<_>>()?;
         }
-        let masked = sources.iter().filter(|s| s.spread.is_some()).count();
-        while self.spread.len() < masked {
-            self.spread.push(device.alloc(voxels)?);
+        let masked = sources.iter().filter(|s| s.lamp.is_some()).count();
+        while self.irradiance.len() < masked {
+            self.irradiance.push(device.alloc(voxels)?);
         }
-        let mut masks = self.spread.iter_mut();
+        let mut masks = self.irradiance.iter_mut();
         for (source, light) in sources.iter().zip(&volume.lights) {
-            if let Some(spread) = &source.spread {
+            if let Some(lamp) = &source.lamp {
                 let out = masks.next().expect("one for each");
-                device.spread(self.grid.size, spread, &light.rho, out)?;
+                device.irradiate(lamp, &self.grid, &light.rho, out)?;
                 report.voxel_updates += voxels as u64;
             }
         }
@@ -395,12 +384,12 @@ impl Paper {
         let scale = f64::from(total).max(f64::MIN_POSITIVE);
         let mut worst = 0.0f64;
         for (channel, out) in volume.light.iter_mut().enumerate() {
-            let mut masks = self.spread.iter();
+            let mut masks = self.irradiance.iter();
             let mut terms: Vec<(&Buffer, f32)> = sources
                 .iter()
                 .zip(&volume.lights)
                 .map(|(source, light)| {
-                    let rho = if source.spread.is_some() { masks.next().expect("one for each") } else { &light.rho };
+                    let rho = if source.lamp.is_some() { masks.next().expect("one for each") } else { &light.rho };
                     (rho, source.colour[channel])
                 })
                 .collect();

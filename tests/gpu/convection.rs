@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use gloaming::BrickLayout;
-use gloaming::device::convection::{Convection, Layers, Opacity, Spread, Start};
+use gloaming::device::convection::{Convection, Layers, Opacity, Start};
 
 use super::*;
 
@@ -84,27 +84,6 @@ fn iterations_of_layers_agree() {
         assert_close(&want, &got, 1e-5, &what);
         assert_eq!((told.iterations, told.updates), (heard.iterations, heard.updates), "{what}");
         assert_close(&[told.error], &[heard.error], 1e-3, &what);
-    }
-}
-
-#[test]
-fn what_spreads_from_a_place_agrees() {
-    let rho = noise(85, ODD.iter().product());
-    let cone = Spread {
-        position: [12.3, 30.0, 20.7],
-        spacing: [0.02, 0.015, 0.03],
-        axis: Vec3::new(0.5, -0.7, 0.3).normalize().to_array(),
-        inner: 0.9,
-        outer: 0.6,
-        nearest: 1e-3,
-    };
-    for spread in [cone, Spread { inner: -2.0, outer: -3.0, ..cone }, Spread { nearest: 0.0, ..cone }] {
-        let [want, got] = both(|d| {
-            let mut out = d.alloc(rho.len()).unwrap();
-            d.spread(ODD, &spread, &upload(d, &rho), &mut out).unwrap();
-            download(d, &out)
-        });
-        assert_close(&want, &got, 1e-5, &format!("{spread:?}"));
     }
 }
 

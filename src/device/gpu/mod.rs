@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
-use crate::device::convection::{Convected, Convection, Layers, Spread};
+use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -25,7 +25,6 @@ mod march;
 mod relax;
 pub mod shader;
 mod source;
-mod spread;
 mod sweep;
 mod sweep_point;
 mod transport;
@@ -41,6 +40,8 @@ const MAX_GROUPS: usize = 65_535;
 /// A wgpu adapter.
 pub struct Gpu {
     report: AdapterReport,
+    /// Of the CPU that takes over where this device fails; 0 is one for each core.
+    threads: usize,
     device: wgpu::Device,
     queue: wgpu::Queue,
     kernels: Mutex<HashMap<&'static str, Arc<Kernel>>>,
@@ -92,7 +93,12 @@ impl Gpu {
         device.set_device_lost_callback(move |_, message| {
             note(&slot, Failure { message: format!("the device was lost: {message}"), lost: true });
         });
-        Ok(Gpu { report, device, queue, kernels: Mutex::default(), spare: Mutex::default(), failure })
+        Ok(Gpu { report, threads: 0, device, queue, kernels: Mutex::default(), spare: Mutex::default(), failure })
+    }
+
+    /// Bounds the threads of the CPU that takes over where this device fails; 0 is one for each core.
+    pub fn with_threads(self, threads: usize) -> Self {
+        Gpu { threads, ..self }
     }
 
     /// What [`adapters`] says of this one.
@@ -314,7 +320,7 @@ impl Device for Gpu {
     }
 
     fn instead(&self) -> Option<Arc<dyn Device>> {
-        Some(Arc::new(crate::device::cpu::Cpu::new(0).ok()?))
+        Some(Arc::new(crate::device::cpu::Cpu::new(self.threads).ok()?))
     }
 
     fn alloc(&self, len: usize) -> Result<Buffer> {
@@ -429,10 +435,6 @@ impl Device for Gpu {
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
         convect::ordered(self, convection, layout, sigma, rho, fronts)
-    }
-
-    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        spread::spread(self, size, spread, rho, out)
     }
 
     fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {

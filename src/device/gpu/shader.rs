@@ -10,7 +10,7 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, spread, sweep, sweep_point, transport,
+    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, sweep, sweep_point, transport,
 };
 use crate::error::{Error, Result};
 
@@ -68,8 +68,6 @@ pub static DIFFUSE: Shader = shader!("diffuse", ["grid"], size_of::<diffuse::Par
 pub static RELAX: Shader = shader!("relax", ["grid"], size_of::<relax::Relax>());
 /// See `shaders/prolong.wgsl`.
 pub static PROLONG: Shader = shader!("prolong", ["grid"], size_of::<relax::Prolong>());
-/// See `shaders/spread.wgsl`.
-pub static SPREAD: Shader = shader!("spread", ["grid"], size_of::<spread::Params>());
 /// See `shaders/combine.wgsl`.
 pub static COMBINE: Shader = shader!("combine", ["grid"], None);
 /// See `shaders/extend.wgsl`.

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::device::convection::{Convected, Convection, Layers, Spread};
+use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::{
     Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport, cpu,
 };
@@ -451,10 +451,6 @@ impl Device for Paged {
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
         self.inner.convect_ordered(convection, layout, self.near(sigma)?, self.near_mut(rho)?, fronts)
-    }
-
-    fn spread(&self, size: [usize; 3], spread: &Spread, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.inner.spread(size, spread, self.near(rho)?, self.near_mut(out)?)
     }
 
     fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
