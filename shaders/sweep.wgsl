@@ -21,18 +21,7 @@ struct Params {
     given: vec3<u32>,
 }
 
-// A front: `count` numbers in `bricks` from `first` on. For the cubic kernel `first` is the layer.
-struct Dispatch {
-    first: u32,
-    count: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> sigma: array<f32>;
-@group(0) @binding(2) var<storage, read_write> rho: array<f32>;
-@group(0) @binding(3) var<storage, read> bricks: array<u32>;
-@group(0) @binding(4) var<storage, read_write> changes: array<atomic<u32>>;
-var<immediate> front: Dispatch;
 
 fn at(q: vec3<u32>) -> u32 {
     let p = q * params.stride;

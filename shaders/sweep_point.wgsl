@@ -19,20 +19,9 @@ struct Params {
     counts: vec3<u32>,
 }
 
-// A front: `count` numbers in `bricks` from `first` on.
-struct Dispatch {
-    first: u32,
-    count: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> sigma: array<f32>;
-@group(0) @binding(2) var<storage, read_write> rho: array<f32>;
-@group(0) @binding(3) var<storage, read> bricks: array<u32>;
-@group(0) @binding(4) var<storage, read_write> changes: array<atomic<u32>>;
 // Three planes of (edge + 2)² values for each brick of a front.
 @group(0) @binding(5) var<storage, read_write> ghost: array<f32>;
-var<immediate> front: Dispatch;
 
 // The brick in hand: its first index and the one past its last, the same with ghosts, and the ghost's index along each axis
 // (−2 where there is none).

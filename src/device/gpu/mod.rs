@@ -20,6 +20,7 @@ mod compose;
 mod convect;
 mod diffuse;
 mod extend;
+mod fronts;
 mod irradiate;
 mod march;
 mod relax;

@@ -51,9 +51,9 @@ pub static BRICK_RANGE: Shader = shader!("brick_range", ["grid", "bricks", "tabl
 /// See `shaders/change.wgsl`.
 pub static CHANGE: Shader = shader!("change", ["grid", "bricks"], size_of::<bricks::Bricks>());
 /// See `shaders/sweep.wgsl`.
-pub static SWEEP: Shader = shader!("sweep", ["grid"], size_of::<sweep::Params>());
+pub static SWEEP: Shader = shader!("sweep", ["grid", "fronts"], size_of::<sweep::Params>());
 /// See `shaders/sweep_point.wgsl`.
-pub static SWEEP_POINT: Shader = shader!("sweep_point", ["grid"], size_of::<sweep_point::Params>());
+pub static SWEEP_POINT: Shader = shader!("sweep_point", ["grid", "fronts"], size_of::<sweep_point::Params>());
 /// See `shaders/irradiate.wgsl`.
 pub static IRRADIATE: Shader = shader!("irradiate", ["grid", "lamp"], size_of::<irradiate::Params>());
 /// See `shaders/source.wgsl`.

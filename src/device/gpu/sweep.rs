@@ -3,6 +3,7 @@
 use encase::ShaderType;
 use glam::{IVec3, UVec3, Vec2};
 
+use super::fronts::front_by_front;
 use super::shader::SWEEP;
 use super::{Gpu, dispatch, holds, uvec3};
 use crate::device::{Buffer, Sweep};
@@ -41,10 +42,6 @@ pub(super) fn sweep(
     rho: &mut Buffer,
     fronts: &[&[u32]],
 ) -> Result<Vec<f32>> {
-    let listed: Vec<u32> = fronts.concat();
-    if listed.is_empty() {
-        return Ok(Vec::new());
-    }
     let axes = layers_last(sweep.axis());
     let (size, counts) = (axes.map(|a| sweep.size[a]), layout.counts());
     let ascending = sweep.ascending();
@@ -71,41 +68,31 @@ pub(super) fn sweep(
         given: UVec3::from_array(axes.map(given)),
     };
     let values = sweep.size.iter().product();
-    let changes = gpu.scratch(layout.len())?;
+    let params = gpu.uniform(&params)?;
+    let own = [("params", &params), ("sigma", holds(sigma, values)?), ("rho", holds(rho, values)?)];
+    if !sweep.cubic {
+        return front_by_front(gpu, &SWEEP, "brick_by_brick", &own, layout, fronts);
+    }
+    assert!(!sweep.given, "a cubic foot needs the whole grid");
+    layer_by_layer(gpu, &own, size, ascending[sweep.axis()])?;
+    Ok(vec![f32::INFINITY; fronts.iter().map(|front| front.len()).sum()])
+}
+
+/// One dispatch per layer of the whole grid, whose `size` has the layers last.
+fn layer_by_layer(gpu: &Gpu, own: &[(&str, &wgpu::Buffer)], size: [usize; 3], ascending: bool) -> Result<()> {
     let kernel = gpu.kernel(&SWEEP)?;
-    let bound = kernel.bind(
-        &gpu.device,
-        &[
-            ("params", &gpu.uniform(&params)?),
-            ("sigma", holds(sigma, values)?),
-            ("rho", holds(rho, values)?),
-            ("bricks", &gpu.storage(&listed)?),
-            ("changes", &changes),
-        ],
-    )?;
+    let unused = [gpu.scratch(1)?, gpu.scratch(1)?];
+    let bound = kernel.bind(&gpu.device, &[own, &[("bricks", &unused[0]), ("changes", &unused[1])]].concat())?;
     let mut encoder = gpu.encoder();
     {
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_bind_group(0, &bound, &[]);
-        if sweep.cubic {
-            assert!(!sweep.given, "a cubic foot needs the whole grid");
-            pass.set_pipeline(&kernel.pipeline(&gpu.device, "layer_by_layer", &[]));
-            for l in 0..size[2] {
-                let layer = if params.travel.z > 0 { l } else { size[2] - 1 - l };
-                pass.set_immediates(0, bytemuck::cast_slice(&[layer as u32, 0]));
-                dispatch(&mut pass, [size[0].div_ceil(16), size[1].div_ceil(16), 1]);
-            }
-        } else {
-            pass.set_pipeline(&kernel.pipeline(&gpu.device, "brick_by_brick", &[]));
-            let mut first = 0;
-            for front in fronts {
-                pass.set_immediates(0, bytemuck::cast_slice(&[first, front.len() as u32]));
-                dispatch(&mut pass, [front.len(), 1, 1]);
-                first += front.len() as u32;
-            }
+        pass.set_pipeline(&kernel.pipeline(&gpu.device, "layer_by_layer", &[]));
+        for l in 0..size[2] {
+            let layer = if ascending { l } else { size[2] - 1 - l };
+            pass.set_immediates(0, bytemuck::cast_slice(&[layer as u32, 0]));
+            dispatch(&mut pass, [size[0].div_ceil(16), size[1].div_ceil(16), 1]);
         }
     }
-    gpu.submit(encoder)?;
-    let changes: Vec<f32> = gpu.values(&changes, layout.len())?;
-    Ok(listed.iter().map(|&b| changes[b as usize]).collect())
+    gpu.submit(encoder)
 }
