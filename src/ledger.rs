@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::light::SolveReport;
 use crate::sink::write_whole;
 
 /// What one step cost. Times are in milliseconds.
@@ -63,6 +64,21 @@ pub struct LedgerRow {
     pub frames: u64,
     /// Why the step was lost; empty when it was not.
     pub lost: String,
+}
+
+impl From<&SolveReport> for LedgerRow {
+    fn from(solved: &SolveReport) -> Self {
+        LedgerRow {
+            start: if solved.warm { "warm" } else { "cold" }.into(),
+            iterations: solved.iterations,
+            sweeps: solved.sweeps,
+            voxel_updates: solved.voxel_updates,
+            bricks_active: solved.bricks_active,
+            bricks_total: solved.bricks_total,
+            certified_error: solved.certified_error,
+            ..LedgerRow::default()
+        }
+    }
 }
 
 /// A ledger file that grows by one row a step and is whole after each: an interrupted run leaves the rows of the steps

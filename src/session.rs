@@ -3,22 +3,25 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::camera::Camera;
-use crate::device::{Device, March};
+use crate::device::Device;
 use crate::error::{Error, Result};
 use crate::field::Timestep;
-use crate::frame::Frame;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
 use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
 use crate::light_state::{About, LightState};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
-use crate::render::reuse::{self, Kept};
+use crate::render::reuse::Kept;
 use crate::render::{self, Renderer};
 use crate::scene::{RangeKey, RangeOver, RenderKind, Scene};
-use crate::sink::{Output, View};
+use crate::sink::Output;
 use crate::transfer::TransferFunction;
+use pictures::{Pictures, Scenery};
+
+mod pictures;
+
+pub(crate) use pictures::cameras;
 
 /// Lights and renders one step after another, each starting from the light of the step before.
 pub struct Session {
@@ -62,9 +65,7 @@ impl State {
             kept: vec![],
         })
     }
-}
 
-impl State {
     /// Starts from light that was kept; says why when it cannot.
     fn start_from(
         &mut self,
@@ -187,27 +188,12 @@ impl Session {
 
     /// The same on the device at hand only.
     pub(crate) fn try_advance(&mut self, step: &Timestep) -> Result<Output> {
-        let device = &*self.device;
-        let state = match &mut self.state {
-            Some(state) => state,
-            none => {
-                let mut state = State::new(device, &self.scene, &self.transfer, step.grid)?;
-                if let Some(mut kept) = self.kept.take() {
-                    match state.start_from(device, &self.scene, &self.lights, &mut kept)? {
-                        None => {
-                            // A run that is taken up again has counted the steps that it passed over.
-                            (self.steps, self.seen) = (self.steps.max(kept.about.steps), kept.about.seen);
-                        }
-                        Some(why) => tracing::warn!("the light that was kept is not used, the start is cold: {why}"),
-                    }
-                }
-                none.insert(state)
-            }
-        };
+        self.begin(step.grid)?;
+        let (device, state) = (&*self.device, self.state.as_mut().expect("just begun"));
 
-        // Gone with a step that fails: then nobody knows what changed since.
-        let mut kept = std::mem::take(&mut state.kept).into_iter();
         let mut clock = Clock::start();
+        // Pictures of the step before are gone with a step that fails: then nobody knows what changed since.
+        let before = std::mem::take(&mut state.kept);
         let (holes, seen) = state.medium.take(device, step)?;
         let range = self.range.unwrap_or_else(|| running(self.scene.field.range, &mut self.seen, seen));
         state.medium.classify(self.transfer.table(range, step.grid.mean_spacing()));
@@ -217,71 +203,54 @@ impl Session {
         let only_visible = !self.wants_light && self.news.is_none() && self.scene.render.kind == RenderKind::Raycast;
         state.solver.only_visible(only_visible);
         let solved = state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?;
+        let light = if self.wants_light || self.news.is_some() {
+            Some(Arc::new(state.solver.illuminated(device, &state.light)?))
+        } else {
+            None
+        };
+        let shown = is_news(&mut self.news, light.as_ref());
         let light_ms = clock.lap();
 
-        let mut light = None;
-        if self.wants_light || self.news.is_some() {
-            light = Some(Arc::new(state.solver.illuminated(device, &state.light)?));
-        }
-        let shown = is_news(&mut self.news, light.as_ref());
-        let light_ms = light_ms + clock.lap();
-
-        let changed = if self.scene.light.warm { reuse::changed(device, &state.medium, &state.light)? } else { None };
-        let mut frames = Vec::with_capacity(self.scene.cameras.len());
-        let (mut tiles_reused, mut tiles_total) = (0, 0);
-        let size = self.scene.render.size;
-        for keys in cameras(&self.scene).into_iter().take(if shown { usize::MAX } else { 0 }) {
-            let camera = Camera::framed(&keys, &step.grid, size[0] as f64 / size[1] as f64, self.steps)?;
-            let all = March::tiles(size).iter().product::<usize>();
-            tiles_total += all as u64;
-            // What changed since the picture is known, and the camera is where it was.
-            let before = kept.next().zip(changed.as_ref()).filter(|(kept, _)| kept.camera == camera);
-            let again = before.and_then(|(kept, changed)| {
-                Some((kept.frame, reuse::tiles(&state.medium, changed, &camera, size)?)).filter(|(_, t)| t.len() < all)
-            });
-            let (medium, light) = (&state.medium, &state.light);
-            let mut frame = None;
-            if let Some((mut picture, tiles)) = again
-                && self.renderer.render_tiles(device, medium, light, &camera, &tiles, &mut picture)?
-            {
-                tiles_reused += (all - tiles.len()) as u64;
-                frame = Some(picture);
-            }
-            let frame = match frame {
-                Some(frame) => frame,
-                None => self.renderer.render(device, medium, light, &camera, size)?,
-            };
-            // Light that changes everywhere in this step will in the next, most likely: then a copy is not worth its time.
-            if changed.is_some() {
-                state.kept.push(Kept { camera, frame: frame.clone() });
-            }
-            frames.push(view(&keys.name, keys.fov as f32, &camera, frame));
-        }
+        let scenery =
+            Scenery { scene: &self.scene, renderer: &*self.renderer, medium: &state.medium, light: &state.light };
+        let pictures = if shown { scenery.pictures(device, self.steps, before)? } else { Pictures::default() };
         let render_ms = clock.lap();
 
-        let light = light.filter(|_| self.wants_light && shown);
         self.steps += u64::from(shown);
+        state.kept = pictures.kept;
         let row = LedgerRow {
             step: step.step,
             time: step.time,
             bytes: 4 * step.grid.len() as u64,
-            start: if solved.warm { "warm" } else { "cold" }.into(),
-            iterations: solved.iterations,
-            sweeps: solved.sweeps,
-            voxel_updates: solved.voxel_updates,
-            bricks_active: solved.bricks_active,
-            bricks_total: solved.bricks_total,
-            certified_error: solved.certified_error,
-            tiles_reused,
-            tiles_total,
+            tiles_reused: pictures.tiles_reused,
+            tiles_total: pictures.tiles_total,
             holes,
             classify_ms,
             light_ms,
             render_ms,
-            frames: frames.len() as u64,
-            ..Default::default()
+            frames: pictures.views.len() as u64,
+            ..LedgerRow::from(&solved)
         };
-        Ok(Output { step: step.step, time: step.time, range, frames, light, row })
+        let light = light.filter(|_| self.wants_light && shown);
+        Ok(Output { step: step.step, time: step.time, range, frames: pictures.views, light, row })
+    }
+
+    /// Makes what the first step on a grid needs, from light that was kept where there is some.
+    fn begin(&mut self, grid: Grid) -> Result<()> {
+        if self.state.is_some() {
+            return Ok(());
+        }
+        let device = &*self.device;
+        let mut state = State::new(device, &self.scene, &self.transfer, grid)?;
+        if let Some(mut kept) = self.kept.take() {
+            match state.start_from(device, &self.scene, &self.lights, &mut kept)? {
+                // A run that is taken up again has counted the steps that it passed over.
+                None => (self.steps, self.seen) = (self.steps.max(kept.about.steps), kept.about.seen),
+                Some(why) => tracing::warn!("the light that was kept is not used, the start is cold: {why}"),
+            }
+        }
+        self.state = Some(state);
+        Ok(())
     }
 }
 
@@ -319,21 +288,6 @@ fn running(over: RangeKey, before: &mut Option<[f64; 2]>, now: Option<[f32; 2]>)
         (known, None) | (None, known) => known,
     };
     before.unwrap_or([0.0, 1.0])
-}
-
-/// The cameras of a scene; one that frames the volume when it names none.
-pub(crate) fn cameras(scene: &Scene) -> Vec<crate::scene::CameraKeys> {
-    if scene.cameras.is_empty() { vec![Default::default()] } else { scene.cameras.clone() }
-}
-
-fn view(name: &str, fov: f32, camera: &Camera, frame: Frame) -> View {
-    View {
-        camera: name.into(),
-        axes: [camera.right.into(), camera.up.into(), camera.forward.into()],
-        eye: camera.eye.into(),
-        fov,
-        frame,
-    }
 }
 
 /// Milliseconds between laps.
