@@ -147,10 +147,5 @@ fn layer_by_layer(@builtin(global_invocation_id) id: vec3<u32>) {
     } else {
         value = rho_foot_cubic(p) * exp(-0.5 * params.length * (sigma_foot(foot(p)) + sigma[here]));
     }
-    let change = abs(value - rho[here]);
     rho[here] = value;
-    if change > 0.0 {
-        let coords = p / params.edge * params.brick_stride;
-        atomicMax(&changes[coords.x + coords.y + coords.z], bitcast<u32>(change));
-    }
 }

@@ -82,19 +82,6 @@ fn cubic_sweeps_agree() {
         let layout = BrickLayout::new(ODD, 16);
         let [want, got] = both(|d| sweep_on(d, &sweep, &layout, [&sigma, &rho], Listed::All));
         assert_close(&want[0], &got[0], 1e-5, &format!("light along {u}"));
-        // Every brick reports the largest change in it.
-        for (&b, change) in layout.fronts(sweep.ascending()).iter().flatten().zip(&got[1]) {
-            let region = layout.region(b as usize);
-            let mut most = 0.0f32;
-            for k in region.start[2]..region.end()[2] {
-                for j in region.start[1]..region.end()[1] {
-                    let row =
-                        Grid::new(ODD).index([region.start[0], j, k])..Grid::new(ODD).index([region.end()[0], j, k]);
-                    most = got[0][row.clone()].iter().zip(&rho[row]).fold(most, |m, (a, b)| m.max((a - b).abs()));
-                }
-            }
-            assert_eq!(most, *change, "brick {b} along {u}");
-        }
     }
 }
 
