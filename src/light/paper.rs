@@ -16,7 +16,6 @@
 //! `light.iterations` on a layer (and then, with `light.budget_ms`, goes on until the time is used up); what is left unfinished
 //! goes on in the next step from where it stands.
 
-use std::f32::consts::FRAC_PI_2;
 use std::time::{Duration, Instant};
 
 use super::{IlluminatedVolume, SolveReport};
@@ -156,11 +155,12 @@ impl Paper {
             }
             Light::Point { position, radius, intensity } => (position, intensity, radius, None),
             Light::Cone { position, direction, angle, edge, radius, intensity } => {
-                (position, intensity, radius, Some((direction, angle, edge)))
+                let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos(), cosine: false };
+                (position, intensity, radius, Some(cone))
             }
             // Scenes that are rendered from this have none: see `Scene::validate`.
             Light::Patch { position, direction, radius, intensity } => {
-                (position, intensity, radius, Some((direction, FRAC_PI_2, FRAC_PI_2)))
+                (position, intensity, radius, Some(Cone::facing(direction)))
             }
             Light::Environment { .. } | Light::Image { .. } => return None,
         };
@@ -169,7 +169,6 @@ impl Paper {
         let farthest = (place - lo).abs().max((place - hi).abs()).length();
         let width = (!physical).then(|| self.keys.width.unwrap_or(farthest));
         let convection = Convection::central(grid, place, width, self.opacity);
-        let cone = cone.map(|(axis, angle, edge)| Cone { axis, outer: angle.cos(), inner: (angle - edge).cos() });
         // 1/r² is held within half a voxel: a light's own voxel would be infinitely bright. Light that falls off as it is
         // convected is held in the whole grid, and its colour makes up for it.
         let radius = if physical { radius.max(0.5 * grid.mean_spacing()) } else { 2.0 * farthest };
