@@ -186,6 +186,53 @@ fn compare_measures_a_known_difference() {
     assert_eq!((figures["rmse"].as_f64(), &figures["psnr"]), (Some(0.0), &Value::Null));
 }
 
+/// Writes a picture of 16×16 pixels with a layer of variances and one of depths.
+fn sampled(path: &Path, value: impl Fn(usize) -> f32, variance: f32) {
+    use ::exr::prelude::*;
+    let plane = |name: &str, of: &dyn Fn(usize) -> f32| {
+        AnyChannel::new(Text::new_or_panic(name), FlatSamples::F32((0..256).map(of).collect()))
+    };
+    let channels = ["R", "G", "B"].map(|c| plane(c, &value)).into_iter();
+    let variances = ["variance.R", "variance.G", "variance.B"].map(|c| plane(c, &|_| variance)).into_iter();
+    let depth = [plane("depth.V", &|i| i as f32)].into_iter();
+    let channels = AnyChannels::sort(channels.chain(variances).chain(depth).collect());
+    Image::from_channels((16, 16), channels).write().to_file(path).unwrap();
+}
+
+#[test]
+fn compare_looks_at_layers_and_tells_noise_from_bias() {
+    let here = folder();
+    let path = |name: &str| here.path().join(name);
+    // Deviations of 0.1 to both sides; the variance of the difference is the sum of both.
+    let noise = |i: usize| if (i * 31 + i / 16) % 7 % 2 == 0 { 0.1 } else { -0.1 };
+    sampled(&path("a.exr"), |i| 1.0 + noise(i), 0.006);
+    sampled(&path("b.exr"), |_| 1.0, 0.004);
+    picture(&path("plain.exr"), [1.0; 3]);
+    let figures = |arguments: &[&str]| -> Value {
+        let compared = gloaming(here.path(), &[&["compare", "--json"], arguments].concat());
+        ends(&compared, 0);
+        serde_json::from_slice(&compared.stdout).unwrap()
+    };
+    let found = figures(&["a.exr", "b.exr", "--variance"]);
+    assert!((found["z_test"]["mean_square"].as_f64().unwrap() - 1.0).abs() < 1e-4, "{found}");
+    assert_eq!((found["z_test"]["values"].as_u64(), found["z_test"]["beyond_3"].as_f64()), (Some(768), Some(0.0)));
+    assert!(found["ssim"].as_f64().unwrap() < 1.0 && found["rmse"].as_f64().unwrap() > 0.09, "{found}");
+    let depths = figures(&["a.exr", "b.exr", "--layer", "depth"]);
+    assert_eq!((depths["rmse"].as_f64(), depths["mean_a"].as_f64()), (Some(0.0), Some(127.5)));
+    for (arguments, says) in [
+        (["plain.exr", "plain.exr", "--variance"], "render.kind = \"pathtrace\""),
+        (["a.exr", "b.exr", "--layer=normal"], "no layer `normal`; it has"),
+    ] {
+        let refused = gloaming(here.path(), &[&["compare"], &arguments[..]].concat());
+        ends(&refused, 1);
+        assert!(stderr(&refused).contains(says), "{}", stderr(&refused));
+    }
+    let said = stdout(&gloaming(here.path(), &["compare", "a.exr", "b.exr", "--variance"]));
+    for figure in ["relative mse", "ssim", "z of the mean", "mean of z²"] {
+        assert!(said.contains(figure), "{said}");
+    }
+}
+
 #[test]
 fn render_writes_frames_a_movie_and_a_ledger() {
     let here = folder();

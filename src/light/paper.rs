@@ -158,7 +158,6 @@ impl Paper {
                 let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos(), cosine: false };
                 (position, intensity, radius, Some(cone))
             }
-            // Scenes that are rendered from this have none: see `Scene::validate`.
             Light::Patch { position, direction, radius, intensity } => {
                 (position, intensity, radius, Some(Cone::facing(direction)))
             }

@@ -119,11 +119,6 @@ impl Area {
         }
     }
 
-    /// Where it is.
-    pub fn position(&self) -> DVec3 {
-        self.position
-    }
-
     /// The size and pixels of its texture, factors on radiance, row by row from the top.
     pub fn texture(&self) -> Option<([usize; 2], &[[f32; 3]])> {
         self.texture.as_ref().map(|t| (t.size, t.pixels.as_slice()))
@@ -458,7 +453,7 @@ mod tests {
             ("kind = \"disk\"\nradius = 1\nimage = \"a.png\"", "bitmap"),
             ("gradient = [[0, 0, 0], [1, 1, 1], [2, 2, 2]]", "environments do"),
             ("kind = \"sphere\"\nradius = 1\ntexture = \"checker\"", "pathtrace"),
-            ("kind = \"disk\"\nradius = 1\n[light]\nmodel = \"paper\"", "pathtrace"),
+            ("kind = \"disk\"\nradius = 1\n[light]\nmodel = \"paper\"", "falloff"),
         ] {
             assert!(refused(text).contains(says), "{}", refused(text));
         }

@@ -5,8 +5,8 @@ use std::fmt::Debug;
 use super::allowed::allowed;
 use super::area;
 use super::{
-    CameraKeys, ComponentKey, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys, RangeKey,
-    RenderKeys, RenderKind, Scene, SolverKeys, TextureKind, TransferKeys,
+    CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys,
+    RangeKey, RenderKeys, RenderKind, Scene, SolverKeys, TextureKind, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -21,20 +21,17 @@ impl Scene {
             return Ok(());
         }
         for (i, keys) in self.lights.iter().enumerate().filter(|(_, keys)| keys.kind.is_area()) {
-            let why = if self.light.model == Model::Paper {
-                "the paper's model has no lights with a cosine"
+            let (why, instead) = if self.light.model == Model::Paper && self.light.falloff != Falloff::Physical {
+                ("the paper's Gaussian does not tell how much light an area gives", "light.falloff = \"physical\", or ")
             } else if keys.kind == LightKind::Sphere && keys.texture != TextureKind::Uniform {
-                "points that stand for a ball shine alike to all sides"
+                ("points that stand for a textured ball would shine alike to all sides", "")
             } else {
                 continue;
             };
-            return Err(Error::Unsupported(
-                format!(
-                    "lights.{i}.kind = \"{:?}\" with these settings: {why}\n  try: render.kind = \"pathtrace\"",
-                    keys.kind
-                )
-                .to_lowercase(),
-            ));
+            let kind = format!("{:?}", keys.kind).to_lowercase();
+            return Err(Error::Unsupported(format!(
+                "lights.{i}.kind = \"{kind}\" with these settings: {why}\n  try: {instead}render.kind = \"pathtrace\""
+            )));
         }
         Ok(())
     }
