@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
-use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
+use crate::light::{IlluminatedVolume, LightSolver, LightVolume, SolveReport};
 use crate::light_state::{About, LightState};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
@@ -200,14 +200,14 @@ impl Session {
         let classify_ms = clock.lap();
 
         // Surfaces are lit also where their medium is transparent.
-        let only_visible = !self.wants_light && self.news.is_none() && self.scene.render.kind == RenderKind::Raycast;
-        state.solver.only_visible(only_visible);
-        let solved = state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?;
-        let light = if self.wants_light || self.news.is_some() {
-            Some(Arc::new(state.solver.illuminated(device, &state.light)?))
-        } else {
-            None
+        let lit = self.wants_light || self.news.is_some();
+        state.solver.only_visible(!lit && self.scene.render.kind == RenderKind::Raycast);
+        state.solver.only_direct(!lit && !self.renderer.needs_scattered_light());
+        let solved = match lit || self.renderer.needs_light() {
+            true => state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?,
+            false => SolveReport::default(),
         };
+        let light = if lit { Some(Arc::new(state.solver.illuminated(device, &state.light)?)) } else { None };
         let shown = is_news(&mut self.news, light.as_ref());
         let light_ms = clock.lap();
 

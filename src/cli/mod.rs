@@ -10,6 +10,7 @@ use clap::{Args, Parser, Subcommand};
 use gloaming::Error;
 
 mod compare;
+mod composite;
 mod demo;
 mod devices;
 mod info;
@@ -44,6 +45,7 @@ enum Command {
     Info(InfoArgs),
     Savings(Box<savings::SavingsArgs>),
     Compare(compare::CompareArgs),
+    Composite(composite::CompositeArgs),
     Demo(demo::DemoArgs),
     Devices(devices::DevicesArgs),
 }
@@ -124,6 +126,7 @@ pub fn main() -> ExitCode {
         Command::Info(args) => info::run(&args.series.spec(), args.stats, args.probe, args.json).map(|()| Done::Whole),
         Command::Savings(args) => savings::run(*args, cli.loudness.quiet, &bars),
         Command::Compare(args) => compare::run(&args).map(|()| Done::Whole),
+        Command::Composite(args) => composite::run(&args).map(|()| Done::Whole),
         Command::Demo(args) => demo::run(&args, cli.loudness.quiet, &bars),
         Command::Devices(args) => devices::run(&args).map(|()| Done::Whole),
     }));

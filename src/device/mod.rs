@@ -12,6 +12,7 @@ use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 use convection::{Convected, Convection, Layers};
+use surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 
 mod buffer;
 pub mod convection;
@@ -24,7 +25,9 @@ mod march;
 mod open;
 mod optic;
 pub mod paged;
+pub mod random;
 mod scatter;
+pub mod surface;
 mod sweep;
 
 pub use buffer::Buffer;
@@ -319,4 +322,58 @@ pub trait Device: Send + Sync {
         }
         Ok(())
     }
+
+    /// Carries rays on to the next isosurface in their way, or to where they leave ([`Hit::NONE`]): see [`Surfaces`].
+    fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
+        let _ = (surfaces, hits);
+        Err(no_surfaces(self.name()))
+    }
+
+    /// Adds to each hit's sums of unoccluded directions and of the part of rays that escapes: see [`Occlusion`].
+    fn surface_occlusion(
+        &self,
+        surfaces: &Surfaces,
+        occlusion: &Occlusion,
+        samples: Samples,
+        hits: &[Hit],
+        sums: &mut [[f32; 4]],
+    ) -> Result<()> {
+        let _ = (surfaces, occlusion, samples, hits, sums);
+        Err(no_surfaces(self.name()))
+    }
+
+    /// Adds to each hit's sums of the environment through the diffuse and the specular lobe: see [`Beauty`].
+    fn surface_beauty(
+        &self,
+        surfaces: &Surfaces,
+        beauty: &Beauty,
+        hits: &[Hit],
+        sums: &mut [[[f32; 3]; 2]],
+    ) -> Result<()> {
+        let _ = (surfaces, beauty, hits, sums);
+        Err(no_surfaces(self.name()))
+    }
+
+    /// Adds to each hit's sum of light scattered beneath the surface: see [`Subsurface`].
+    fn surface_subsurface(
+        &self,
+        surfaces: &Surfaces,
+        subsurface: &Subsurface,
+        hits: &[Hit],
+        sums: &mut [[f32; 3]],
+    ) -> Result<()> {
+        let _ = (surfaces, subsurface, hits, sums);
+        Err(no_surfaces(self.name()))
+    }
+
+    /// Adds one term of the light volume to each hit: radiance of a white diffuse surface, `E·max(0, n·l)/π`, and of a specular
+    /// lobe, `E·(s + 1)/2π·max(0, r·l)^s`; scattered light counts as even, and its current is left out.
+    fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
+        let _ = (surfaces, term, hits, sums);
+        Err(no_surfaces(self.name()))
+    }
+}
+
+fn no_surfaces(device: String) -> crate::Error {
+    crate::Error::Unsupported(format!("render.kind = \"isosurface\" on {device}\n  try: --device cpu"))
 }

@@ -128,6 +128,14 @@ impl LightSolver {
         }
     }
 
+    /// Leaves out scattered light, and the environment's, which come together: for pictures that need neither. Direct light is the
+    /// same to the bit.
+    pub fn only_direct(&mut self, only: bool) {
+        if let Solver::Physical(solver) = &mut self.0 {
+            solver.only_direct(only);
+        }
+    }
+
     /// What a later run may start from, put into `volumes` by name, and what it says of them. `None` before the first solve, and for
     /// the paper's model, which keeps nothing.
     pub fn keep(

@@ -111,6 +111,8 @@ pub(super) struct Physical {
     sigma: [Buffer; 2],
     solved: bool,
     only_visible: bool,
+    /// See [`super::LightSolver::only_direct`].
+    only_direct: bool,
     optics: Option<Optics>,
     /// Irradiance of a lamp on the grid of direct light.
     lit: Option<Buffer>,
@@ -147,6 +149,7 @@ impl Physical {
             sigma: [device.alloc(grid.len())?, device.alloc(grid.len())?],
             solved: false,
             only_visible: false,
+            only_direct: false,
             optics: None,
             lit: None,
             keys,
@@ -209,6 +212,11 @@ impl Physical {
         }
         self.solved = true;
         Ok(report)
+    }
+
+    /// See [`super::LightSolver::only_direct`].
+    pub(super) fn only_direct(&mut self, only: bool) {
+        self.only_direct = only;
     }
 
     /// See [`super::LightSolver::only_visible`].
@@ -408,7 +416,7 @@ impl Physical {
         report: &mut SolveReport,
     ) -> Result<()> {
         let environment = environment(lights, self.keys.directions)?;
-        if !self.keys.scattering && environment.iter().flatten().all(|l| *l == 0.0) {
+        if self.only_direct || !self.keys.scattering && environment.iter().flatten().all(|l| *l == 0.0) {
             volume.scattered = None;
             return Ok(());
         }

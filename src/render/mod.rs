@@ -10,9 +10,11 @@ use crate::scene::{RenderKind, Scene};
 
 pub mod denoise;
 pub mod film;
+pub mod isosurface;
 mod raycast;
 pub mod reuse;
 
+pub use isosurface::Isosurface;
 pub use raycast::Raycast;
 
 /// Makes pictures of a lit volume.
@@ -41,12 +43,30 @@ pub trait Renderer: Send {
         let _ = (device, medium, light, camera, tiles, frame);
         Ok(false)
     }
+
+    /// True when a tile depends on nothing but the bricks that it sees, so that [`Renderer::render_tiles`] may do.
+    fn keeps_tiles(&self) -> bool {
+        false
+    }
+
+    /// False when pictures do not depend on the light volume: then nobody need solve it.
+    fn needs_light(&self) -> bool {
+        true
+    }
+
+    /// False when pictures do not depend on its scattered light.
+    fn needs_scattered_light(&self) -> bool {
+        true
+    }
 }
 
 /// The renderer that a scene asks for.
 pub fn renderer(scene: &Scene) -> Result<Box<dyn Renderer>> {
     match scene.render.kind {
         RenderKind::Raycast => Ok(Box::new(Raycast::new(scene))),
-        kind => Err(Error::Unsupported(format!("render.kind = {kind:?}; this version has \"raycast\""))),
+        RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene)?)),
+        kind => {
+            Err(Error::Unsupported(format!("render.kind = {kind:?}; this version has \"raycast\" and \"isosurface\"")))
+        }
     }
 }

@@ -70,6 +70,10 @@ impl Renderer for Raycast {
         self.cast(device, medium, light, camera, Some(tiles), frame)?;
         Ok(true)
     }
+
+    fn keeps_tiles(&self) -> bool {
+        true
+    }
 }
 
 impl Raycast {

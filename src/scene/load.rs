@@ -9,7 +9,8 @@ use toml::{Table, Value};
 
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
 use super::{
-    CameraKeys, FieldKeys, InSituKeys, LightKeys, MovieKeys, PathtraceKeys, RenderKeys, Scene, SolverKeys, TransferKeys,
+    CameraKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MovieKeys, PathtraceKeys, RenderKeys, Scene,
+    SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 
@@ -143,6 +144,7 @@ impl Document {
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,
             pathtrace: self.table::<PathtraceKeys>("pathtrace")?,
+            isosurface: self.table::<IsosurfaceKeys>("isosurface")?,
             movie: self.table::<MovieKeys>("movie")?,
             insitu: self.table::<InSituKeys>("insitu")?,
         })

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 mod allowed;
 mod area;
 mod insitu;
+mod isosurface;
 mod load;
 mod pathtrace;
 mod validate;
@@ -15,6 +16,10 @@ mod validate;
 pub(crate) use allowed::nearest;
 pub use area::{TextureKind, Units};
 pub use insitu::{InSituKeys, Policy};
+pub use isosurface::{
+    AttenuationBy, AttenuationKey, BeautyKey, Blend, EstimatorKey, IsosurfaceKeys, OcclusionKey, PerSurface,
+    PerSurfaceRgb, Quality, SssKey, SurfaceLight, ValueUnits,
+};
 pub use pathtrace::{Denoise, PathtraceKeys};
 
 /// A whole scene file.
@@ -35,6 +40,8 @@ pub struct Scene {
     pub render: RenderKeys,
     /// What path tracing alone has to know.
     pub pathtrace: PathtraceKeys,
+    /// Isosurfaces, for `render.kind = "isosurface"`.
+    pub isosurface: IsosurfaceKeys,
     /// How a movie is encoded.
     pub movie: MovieKeys,
     /// How a running simulation is coupled.
@@ -458,7 +465,7 @@ impl Default for CameraKeys {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderKeys {
-    /// raycast; pathtrace, isosurface and slices are to come.
+    /// raycast or isosurface; pathtrace and slices are to come.
     pub kind: RenderKind,
     /// Width and height in pixels.
     pub size: [usize; 2],

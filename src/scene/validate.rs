@@ -58,6 +58,7 @@ impl Scene {
         }
         render(&self.render)?;
         pathtrace(&self.pathtrace)?;
+        self.isosurface.validate()?;
         movie(&self.movie)?;
         insitu(&self.insitu)
     }
@@ -185,13 +186,14 @@ fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
 
 fn render(keys: &RenderKeys) -> Result<()> {
     let kind = match keys.kind {
-        RenderKind::Raycast => None,
+        RenderKind::Raycast | RenderKind::Isosurface => None,
         RenderKind::Pathtrace => Some("pathtrace"),
-        RenderKind::Isosurface => Some("isosurface"),
         RenderKind::Slices => Some("slices"),
     };
     if let Some(kind) = kind {
-        return Err(Error::Unsupported(format!("render.kind = \"{kind}\": this version has \"raycast\"")));
+        return Err(Error::Unsupported(format!(
+            "render.kind = \"{kind}\": this version has \"raycast\" and \"isosurface\""
+        )));
     }
     require(keys.size.iter().all(|n| (1..=16384).contains(n)), "render.size", keys.size)?;
     require(keys.step > 0.0 && keys.step <= 16.0, "render.step", keys.step)?;

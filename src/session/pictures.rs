@@ -32,7 +32,8 @@ pub(super) struct Pictures {
 impl Scenery<'_> {
     /// The picture of every camera in the step of number `steps` of the session; `before` are those of the step before.
     pub(super) fn pictures(&self, device: &dyn Device, steps: u64, before: Vec<Kept>) -> Result<Pictures> {
-        let changed = if self.scene.light.warm { reuse::changed(device, self.medium, self.light)? } else { None };
+        let reuses = self.scene.light.warm && self.renderer.keeps_tiles();
+        let changed = if reuses { reuse::changed(device, self.medium, self.light)? } else { None };
         let size = self.scene.render.size;
         let all = March::tiles(size).iter().product::<usize>();
         let mut before = before.into_iter();

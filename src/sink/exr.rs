@@ -56,7 +56,16 @@ impl super::Sink for Exr {
 }
 
 fn write(path: &Path, output: &Output, view: &View, options: &SinkOptions) -> Result<()> {
-    let Frame { size: [width, height], pixels, layers } = &view.frame;
+    write_with(path, &view.frame, attributes(output, view, options))
+}
+
+/// Writes a picture and its further layers, without the attributes of a step.
+pub fn write_frame(path: &Path, frame: &Frame) -> Result<()> {
+    write_with(path, frame, LayerAttributes::default())
+}
+
+fn write_with(path: &Path, frame: &Frame, attributes: LayerAttributes) -> Result<()> {
+    let Frame { size: [width, height], pixels, layers } = frame;
     let planes = "RGBA".char_indices().map(|(c, name)| plane(name.to_string(), pixels.iter().map(|p| p[c]).collect()));
     let further = layers.iter().flat_map(|layer| {
         let count = layer.channels.chars().count();
@@ -65,12 +74,7 @@ fn write(path: &Path, output: &Output, view: &View, options: &SinkOptions) -> Re
         })
     });
     let channels = AnyChannels::sort(planes.chain(further).collect());
-    let layer = exr::image::Layer::new(
-        (*width, *height),
-        attributes(output, view, options),
-        Encoding::SMALL_LOSSLESS,
-        channels,
-    );
+    let layer = exr::image::Layer::new((*width, *height), attributes, Encoding::SMALL_LOSSLESS, channels);
     write_whole(path, |writer| Image::from_layer(layer).write().to_buffered(writer).map_err(|e| named(path, e)))
 }
 

@@ -7,6 +7,7 @@ mod convection;
 mod light;
 mod march;
 mod session;
+mod surface;
 mod volumes;
 
 use std::sync::{Arc, OnceLock};

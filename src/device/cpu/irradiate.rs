@@ -43,7 +43,7 @@ fn row_body(falloff: &Falloff, [j, k]: [usize; 2], rho: &[f32], out: &mut [f32])
 
 /// Share of the light at t of a cone's edge.
 #[inline(always)]
-fn shape(t: f32, cosine: f32) -> f32 {
+pub(super) fn shape(t: f32, cosine: f32) -> f32 {
     let smooth = t * t * (3.0 - 2.0 * t);
     smooth + cosine * (t - smooth)
 }

@@ -3,7 +3,10 @@
 use std::sync::{Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers};
-use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
+use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
+use crate::device::{
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
@@ -25,6 +28,7 @@ mod relax;
 mod shared;
 pub mod simd;
 mod source;
+mod surface;
 pub(crate) mod sweep;
 mod sweep_cubic;
 mod sweep_point;
@@ -283,6 +287,50 @@ impl Device for Cpu {
 
     fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
         self.pool.install(|| march::march_tiles(march, tiles, frame));
+        Ok(())
+    }
+
+    fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
+        self.pool.install(|| surface::hits(surfaces, hits));
+        Ok(())
+    }
+
+    fn surface_occlusion(
+        &self,
+        surfaces: &Surfaces,
+        occlusion: &Occlusion,
+        samples: Samples,
+        hits: &[Hit],
+        sums: &mut [[f32; 4]],
+    ) -> Result<()> {
+        self.pool.install(|| surface::occlusion(surfaces, occlusion, samples, hits, sums));
+        Ok(())
+    }
+
+    fn surface_beauty(
+        &self,
+        surfaces: &Surfaces,
+        beauty: &Beauty,
+        hits: &[Hit],
+        sums: &mut [[[f32; 3]; 2]],
+    ) -> Result<()> {
+        self.pool.install(|| surface::beauty(surfaces, beauty, hits, sums));
+        Ok(())
+    }
+
+    fn surface_subsurface(
+        &self,
+        surfaces: &Surfaces,
+        subsurface: &Subsurface,
+        hits: &[Hit],
+        sums: &mut [[f32; 3]],
+    ) -> Result<()> {
+        self.pool.install(|| surface::subsurface(surfaces, subsurface, hits, sums));
+        Ok(())
+    }
+
+    fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
+        self.pool.install(|| surface::light(surfaces, term, hits, sums));
         Ok(())
     }
 }

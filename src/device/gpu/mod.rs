@@ -6,7 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
 use crate::device::convection::{Convected, Convection, Layers};
-use crate::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport};
+use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
+use crate::device::{
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
@@ -26,6 +29,7 @@ mod march;
 mod relax;
 pub mod shader;
 mod source;
+mod surface;
 mod sweep;
 mod sweep_point;
 mod transport;
@@ -502,6 +506,45 @@ impl Device for Gpu {
 
     fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
         march::march_slab(self, march, part, picture, rays)
+    }
+
+    fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
+        surface::hits(self, surfaces, hits)
+    }
+
+    fn surface_occlusion(
+        &self,
+        surfaces: &Surfaces,
+        occlusion: &Occlusion,
+        samples: Samples,
+        hits: &[Hit],
+        sums: &mut [[f32; 4]],
+    ) -> Result<()> {
+        surface::occlusion(self, surfaces, occlusion, samples, hits, sums)
+    }
+
+    fn surface_beauty(
+        &self,
+        surfaces: &Surfaces,
+        beauty: &Beauty,
+        hits: &[Hit],
+        sums: &mut [[[f32; 3]; 2]],
+    ) -> Result<()> {
+        surface::beauty(self, surfaces, beauty, hits, sums)
+    }
+
+    fn surface_subsurface(
+        &self,
+        surfaces: &Surfaces,
+        subsurface: &Subsurface,
+        hits: &[Hit],
+        sums: &mut [[f32; 3]],
+    ) -> Result<()> {
+        surface::subsurface(self, surfaces, subsurface, hits, sums)
+    }
+
+    fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
+        surface::light(self, surfaces, term, hits, sums)
     }
 }
 

@@ -10,7 +10,7 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, sweep, sweep_point, transport,
+    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, surface, sweep, sweep_point, transport,
 };
 use crate::error::{Error, Result};
 
@@ -77,6 +77,22 @@ pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/march.wgsl`.
 pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp"], size_of::<march::Params>());
 
+/// See `shaders/surface_hits.wgsl`.
+pub static SURFACE_HITS: Shader =
+    shader!("surface_hits", ["grid", "table", "random", "surface"], size_of::<surface::Params>());
+/// See `shaders/surface_occlusion.wgsl`.
+pub static SURFACE_OCCLUSION: Shader =
+    shader!("surface_occlusion", ["grid", "table", "random", "surface"], size_of::<surface::Params>());
+/// See `shaders/surface_beauty.wgsl`.
+pub static SURFACE_BEAUTY: Shader =
+    shader!("surface_beauty", ["grid", "table", "random", "surface", "surface_sky"], size_of::<surface::Params>());
+/// See `shaders/surface_subsurface.wgsl`.
+pub static SURFACE_SUBSURFACE: Shader =
+    shader!("surface_subsurface", ["grid", "table", "random", "surface", "surface_sky"], size_of::<surface::Params>());
+/// See `shaders/surface_light.wgsl`.
+pub static SURFACE_LIGHT: Shader =
+    shader!("surface_light", ["grid", "table", "random", "lamp", "surface"], size_of::<surface::Params>());
+
 /// Every shader.
 pub fn shaders() -> Vec<&'static Shader> {
     vec![
@@ -94,6 +110,11 @@ pub fn shaders() -> Vec<&'static Shader> {
         &EXTEND,
         &COMPOSE,
         &MARCH,
+        &SURFACE_HITS,
+        &SURFACE_OCCLUSION,
+        &SURFACE_BEAUTY,
+        &SURFACE_SUBSURFACE,
+        &SURFACE_LIGHT,
     ]
 }
 

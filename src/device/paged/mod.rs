@@ -14,8 +14,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::device::convection::{Convected, Convection, Layers};
+use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Transport, cpu,
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport, cpu,
 };
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -527,9 +528,65 @@ impl Device for Paged {
     fn march_slab(&self, _: &March, _: &Part, _: [usize; 2], _: &mut [Ray]) -> Result<()> {
         Err(Error::Unsupported("a slab of volumes that are cut into slabs already".into()))
     }
+
+    fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
+        self.within(surfaces, |s| self.inner.surface_hits(s, hits))
+    }
+
+    fn surface_occlusion(
+        &self,
+        surfaces: &Surfaces,
+        occlusion: &Occlusion,
+        samples: Samples,
+        hits: &[Hit],
+        sums: &mut [[f32; 4]],
+    ) -> Result<()> {
+        self.within(surfaces, |s| self.inner.surface_occlusion(s, occlusion, samples, hits, sums))
+    }
+
+    fn surface_beauty(
+        &self,
+        surfaces: &Surfaces,
+        beauty: &Beauty,
+        hits: &[Hit],
+        sums: &mut [[[f32; 3]; 2]],
+    ) -> Result<()> {
+        let environment = Environment { texels: self.near(beauty.environment.texels)?, ..beauty.environment };
+        self.within(surfaces, |s| self.inner.surface_beauty(s, &Beauty { environment, ..*beauty }, hits, sums))
+    }
+
+    fn surface_subsurface(
+        &self,
+        surfaces: &Surfaces,
+        subsurface: &Subsurface,
+        hits: &[Hit],
+        sums: &mut [[f32; 3]],
+    ) -> Result<()> {
+        let environment = Environment { texels: self.near(subsurface.environment.texels)?, ..subsurface.environment };
+        self.within(surfaces, |s| {
+            self.inner.surface_subsurface(s, &Subsurface { environment, ..*subsurface }, hits, sums)
+        })
+    }
+
+    fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
+        let term = Term { values: self.near(term.values)?, ..*term };
+        self.within(surfaces, |s| self.inner.surface_light(s, &term, hits, sums))
+    }
 }
 
 impl Paged {
+    /// The same surfaces in a field that is all in the inner device's memory: rays turn where they like.
+    fn within<T>(&self, s: &Surfaces, run: impl FnOnce(&Surfaces) -> Result<T>) -> Result<T> {
+        let near = |e| match e {
+            Error::OutOfMemory { needed, budget } => Error::Unsupported(format!(
+                "render.kind = \"isosurface\" of data that do not fit: {needed} bytes needed, {budget} allowed\n  try: --memory {}MiB",
+                needed.div_ceil(1 << 20)
+            )),
+            e => e,
+        };
+        run(&Surfaces { field: self.near(s.field).map_err(near)?, ..*s })
+    }
+
     fn three<'a>(&self, buffers: Option<[&'a mut Buffer; 3]>) -> Result<Option<[&'a mut Buffer; 3]>> {
         match buffers {
             Some([x, y, z]) => Ok(Some([self.near_mut(x)?, self.near_mut(y)?, self.near_mut(z)?])),

@@ -6,7 +6,7 @@ use crate::grid::BrickLayout;
 /// `d > 0` says that the cube of bricks closer than `d` is empty.
 pub(super) struct Distances {
     /// `(z, y, x)`, like the bricks.
-    values: Vec<f32>,
+    pub values: Vec<f32>,
     /// Bricks from one row, and from one slice, to the next.
     pub stride: [usize; 2],
     /// Values along the edge of a brick.

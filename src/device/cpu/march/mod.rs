@@ -17,6 +17,7 @@ use self::plan::Plan;
 use crate::device::cpu::simd::{self, Level};
 use crate::device::{March, Part, Ray};
 use crate::frame::Frame;
+use crate::grid::BrickLayout;
 
 /// Casts the rays of `frame` on the threads of the current rayon pool with the best instruction set. See [`March`].
 pub fn march(march: &March, frame: &mut Frame) {
@@ -50,6 +51,12 @@ pub fn march_slab(march: &March, part: &Part, picture: [usize; 2], rays: &mut [R
     if let Some(plan) = Plan::new(march, Some(part), picture) {
         tiles(&plan, rays, at_level(level(&plan)));
     }
+}
+
+/// For each brick the distance in bricks to the nearest in which something is, see `Distances`; 0 everywhere where nothing can be
+/// skipped.
+pub(crate) fn distances(bricks: &BrickLayout, something: &[f32]) -> Vec<f32> {
+    empty::Distances::new(bricks, something).map_or_else(|| vec![0.0; bricks.len()], |d| d.values)
 }
 
 /// A volume that 32-bit indices cannot address is marched without gathers.

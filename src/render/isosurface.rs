@@ -1,0 +1,391 @@
+//! Isosurfaces in layers (Rezk-Salama 2007): a first-hit pass for each surface along the rays, then passes for beauty, ambient
+//! occlusion, light of the volume, and subsurface scattering at the hits; [`layers`] makes the picture of them.
+//!
+//! Each pixel sends `antialias`² rays, among which the samples of its lobes are divided, so that smooth edges cost little.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::camera::Camera;
+use crate::device::surface::{
+    self, Attenuation, Beauty, Estimator, Hit, Occlusion, Samples, Subsurface, Surface, Surfaces,
+};
+use crate::device::{Buffer, Device, Weight};
+use crate::error::{Error, Result};
+use crate::frame::{self, Frame};
+use crate::light::LightVolume;
+use crate::lights;
+use crate::medium::Medium;
+use crate::render::Renderer;
+use crate::scene::{
+    AttenuationKey, BeautyKey, Blend, EstimatorKey, IsosurfaceKeys, Model, OcclusionKey, Quality, Scene, SssKey,
+    SurfaceLight, ValueUnits,
+};
+use crate::transfer::TransferFunction;
+
+mod layers;
+mod sky;
+
+use layers::{Sheet, Wanted};
+pub use layers::{Weights, composite};
+use sky::Sky;
+
+/// Isosurfaces.
+pub struct Isosurface {
+    keys: IsosurfaceKeys,
+    /// World length between samples in voxels.
+    step: f32,
+    /// The map's colours from value 0 to 1, scene-linear.
+    colors: Vec<[f32; 3]>,
+    sky: Option<Sky>,
+    /// True when it was said that no value of a step reaches a surface.
+    said: AtomicBool,
+}
+
+/// Rays that a pixel's passes take (table 1).
+struct Counts {
+    diffuse: u32,
+    specular: u32,
+    occlusion: u32,
+    steps: u32,
+    primary: u32,
+    secondary: u32,
+}
+
+impl Counts {
+    const PREVIEW: Counts = Counts { diffuse: 8, specular: 16, occlusion: 32, steps: 10, primary: 4, secondary: 4 };
+    const FINAL: Counts = Counts { diffuse: 64, specular: 128, occlusion: 128, steps: 20, primary: 64, secondary: 16 };
+}
+
+/// Rays worked on at a time: their hits and sums take 30 MB.
+const BAND: usize = 1 << 18;
+
+impl Isosurface {
+    /// Isosurfaces as `scene.isosurface` says.
+    ///
+    /// # Errors
+    /// Those of [`lights::resolve`]; [`Error::Scene`] when surfaces are to be lit by an environment and there is none;
+    /// [`Error::Unsupported`] for `isosurface.light = "both"` in the paper's model.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let keys = scene.isosurface.clone();
+        if keys.light == SurfaceLight::Both && scene.light.model == Model::Paper {
+            return Err(Error::Unsupported(
+                "isosurface.light = \"both\" with light.model = \"paper\", whose light volume holds the environment too\n  \
+                 try: isosurface.light = \"volume\" or \"environment\""
+                    .into(),
+            ));
+        }
+        let mut sky = match keys.light {
+            SurfaceLight::Volume if keys.sss == SssKey::None => None,
+            _ => Sky::new(&lights::resolve(scene)?, keys.sky.as_deref()),
+        };
+        let wants = match keys.light {
+            SurfaceLight::Environment => Some("isosurface.light"),
+            _ if keys.sss != SssKey::None => Some("isosurface.sss"),
+            _ => None,
+        };
+        if let (None, Some(key)) = (&sky, wants) {
+            return Err(Error::scene(
+                key,
+                "takes light from an environment, and the scene has none: add [[lights]] with kind = \"environment\", or \
+                 give isosurface.sky",
+            ));
+        }
+        if let (BeautyKey::Prefiltered, Some(sky)) = (keys.beauty, &mut sky) {
+            let exponents: Vec<f32> =
+                order(&keys.values).into_iter().map(|i| keys.exponent.of(i).unwrap_or(0.0)).collect();
+            sky.filter(&exponents);
+        }
+        let hidden = keys.blend == Blend::Opacity && keys.opacity.all().iter().all(|o| *o == 1.0);
+        if keys.sss != SssKey::None && hidden {
+            tracing::warn!(
+                "isosurface.sss is hidden beneath opaque surfaces\n  try: isosurface.blend = \"fresnel\", or an opacity below 1"
+            );
+        }
+        let colors = TransferFunction::new(&scene.transfer)?.colors();
+        let linear = |c: [f32; 3]| c.map(|v| frame::srgb_decode(f64::from(v)) as f32);
+        Ok(Isosurface {
+            step: scene.render.step,
+            colors: colors.map(linear).to_vec(),
+            sky,
+            said: AtomicBool::new(false),
+            keys,
+        })
+    }
+
+    /// The surfaces in a step's units, values ascending.
+    fn surfaces(&self, medium: &Medium) -> Vec<Surface> {
+        let keys = &self.keys;
+        let table = &medium.table;
+        let range = table.hi - table.lo;
+        let each = |i: usize| {
+            let value = match keys.units {
+                ValueUnits::Range => table.lo + keys.values[i] as f32 * range,
+                ValueUnits::Data => keys.values[i] as f32,
+            };
+            let of = |numbers: &crate::scene::PerSurface| numbers.of(i).unwrap_or_default();
+            let mapped = || self.colors[(table.normalise(value) * (self.colors.len() - 1) as f32).round() as usize];
+            let color = keys.color.as_ref().and_then(|c| c.of(i)).unwrap_or_else(mapped);
+            // Steepness counts in field ranges a voxel.
+            let steepness = if range > 0.0 { medium.grid.mean_spacing() as f32 / range } else { 0.0 };
+            Surface {
+                value,
+                diffuse: color.map(|c| of(&keys.diffuse) * c),
+                specular: of(&keys.specular),
+                exponent: of(&keys.exponent),
+                exponent_gradient: of(&keys.exponent_gradient) * steepness,
+                opacity: of(&keys.opacity),
+                transmission: if keys.sss == SssKey::None { 0.0 } else { of(&keys.transmission) },
+                spread: of(&keys.spread),
+                ior: of(&keys.ior),
+            }
+        };
+        order(&keys.values).into_iter().map(each).collect()
+    }
+
+    /// Says, once until it changes, that no surface will be seen.
+    fn look_for(&self, medium: &Medium, surfaces: &[Surface]) {
+        let (lo, hi) =
+            medium.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
+        let reached = |s: &Surface| lo < s.value && s.value <= hi;
+        if surfaces.iter().any(reached) {
+            self.said.store(false, Ordering::Relaxed);
+        } else if !self.said.swap(true, Ordering::Relaxed) {
+            let values: Vec<f32> = surfaces.iter().map(|s| s.value).collect();
+            let range = if lo <= hi { format!("its values go from {lo} to {hi}") } else { "it holds no values".into() };
+            tracing::warn!("the isovalues {values:?} are nowhere in this step: {range}; the picture is empty");
+        }
+    }
+
+    fn counts(&self) -> (Counts, usize) {
+        let (counts, antialias) = match self.keys.quality {
+            Quality::Preview => (Counts::PREVIEW, 1),
+            Quality::Final => (Counts::FINAL, 2),
+        };
+        (counts, self.keys.antialias.unwrap_or(antialias))
+    }
+}
+
+/// Indices that put values in ascending order.
+fn order(values: &[f64]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));
+    order
+}
+
+impl Renderer for Isosurface {
+    fn render(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        light: &LightVolume,
+        camera: &Camera,
+        size: [usize; 2],
+    ) -> Result<Frame> {
+        let (counts, antialias) = self.counts();
+        let wanted = Wanted {
+            environment: self.keys.light != SurfaceLight::Volume && self.sky.is_some(),
+            volume: self.keys.light != SurfaceLight::Environment,
+            sss: self.keys.sss != SssKey::None,
+        };
+        let solids = self.surfaces(medium);
+        self.look_for(medium, &solids);
+        if medium.grid.is_empty() {
+            return Ok(layers::frame(size, &[vec![Sheet::default(); size[0] * size[1]]], wanted));
+        }
+        let values: Vec<f32> = solids.iter().map(|s| s.value).collect();
+        let empty = match medium.ranges.len() == medium.bricks.len() {
+            true => surface::distances(&medium.bricks, &medium.ranges, &values),
+            false => vec![],
+        };
+        let texels = self.sky.as_ref().map(|sky| sky.upload(device)).transpose()?;
+        let picture = size.map(|n| n * antialias);
+        let surfaces = Surfaces {
+            grid: &medium.grid,
+            field: &medium.field,
+            bricks: medium.bricks,
+            empty: &empty,
+            surfaces: &solids,
+            step: self.step * medium.grid.mean_spacing() as f32,
+            camera,
+            picture,
+        };
+        let passes =
+            Passes { of: self, device, medium, light, surfaces, counts, antialias, wanted, texels: texels.as_ref() };
+        let mut sheets = vec![vec![Sheet::default(); size[0] * size[1]]];
+        // Whole pixels at a time.
+        let rows = (BAND / picture[0].max(1)).max(1).next_multiple_of(antialias);
+        for first in (0..picture[1]).step_by(rows) {
+            let pixels = first * picture[0]..(first + rows).min(picture[1]) * picture[0];
+            let mut rays: Vec<Hit> = pixels.map(|p| Hit::ray(p as u32)).collect();
+            for k in 0..self.keys.layers {
+                device.surface_hits(&surfaces, &mut rays)?;
+                rays.retain(|hit| hit.surface != Hit::NONE);
+                if rays.is_empty() {
+                    break;
+                }
+                if sheets.len() == k {
+                    sheets.push(vec![Sheet::default(); size[0] * size[1]]);
+                }
+                let found = passes.all(&rays, k as u32)?;
+                for (hit, sheet) in rays.iter().zip(&found) {
+                    let [x, y] =
+                        [hit.pixel as usize % picture[0], hit.pixel as usize / picture[0]].map(|c| c / antialias);
+                    sheets[k][y * size[0] + x].add(sheet);
+                }
+                let mut shows = found.iter().map(|s| s.weight < 1.0 && s.sss[3] == 0.0);
+                rays.retain(|_| shows.next().unwrap_or(false));
+                if rays.is_empty() {
+                    break;
+                }
+            }
+        }
+        sheets.iter_mut().flatten().for_each(|sheet| sheet.finish(antialias * antialias));
+        Ok(layers::frame(size, &sheets, wanted))
+    }
+
+    fn needs_light(&self) -> bool {
+        self.keys.light != SurfaceLight::Environment
+    }
+
+    fn needs_scattered_light(&self) -> bool {
+        self.keys.light == SurfaceLight::Volume
+    }
+}
+
+/// What the passes at a set of hits share.
+struct Passes<'a> {
+    of: &'a Isosurface,
+    device: &'a dyn Device,
+    medium: &'a Medium,
+    light: &'a LightVolume,
+    surfaces: Surfaces<'a>,
+    counts: Counts,
+    antialias: usize,
+    wanted: Wanted,
+    texels: Option<&'a Buffer>,
+}
+
+impl Passes<'_> {
+    /// The share of a ray in a pixel's samples.
+    fn share(&self, count: u32) -> Samples {
+        Samples { first: 0, end: count.div_ceil((self.antialias * self.antialias) as u32) }
+    }
+
+    /// What is seen at each of the hits.
+    fn all(&self, hits: &[Hit], seed: u32) -> Result<Vec<Sheet>> {
+        let keys = &self.of.keys;
+        let solids = self.surfaces.surfaces;
+        let estimator = match keys.estimator {
+            EstimatorKey::Normalised => Estimator::Normalised,
+            EstimatorKey::Paper => Estimator::Paper,
+        };
+        let environment = self.of.sky.as_ref().zip(self.texels).map(|(sky, texels)| sky.environment(texels));
+        let mut sheets: Vec<Sheet> = hits.iter().map(|hit| self.plain(hit)).collect();
+        let [diffuse, specular] = [0, 1].map(|lobe| {
+            move |hit: &Hit, sum: [f32; 3], count: f32| -> [f32; 3] {
+                let surface = &solids[hit.surface as usize];
+                let k = if lobe == 0 { surface.diffuse } else { [surface.specular; 3] };
+                std::array::from_fn(|c| k[c] * sum[c] / count)
+            }
+        });
+
+        if let Some(environment) = environment.filter(|_| self.wanted.environment) {
+            let mut open = Vec::new();
+            if keys.occlusion != OcclusionKey::None {
+                let voxels = keys.occlusion_radius * self.medium.grid.mean_spacing();
+                let occlusion = Occlusion { radius: voxels as f32, steps: self.counts.steps, estimator, seed };
+                let samples = self.share(self.counts.occlusion);
+                open.resize(hits.len(), [0.0; 4]);
+                self.device.surface_occlusion(&self.surfaces, &occlusion, samples, hits, &mut open)?;
+                for (sheet, sum) in sheets.iter_mut().zip(&open) {
+                    sheet.occlusion = sum[3] / samples.end as f32;
+                }
+            }
+            let beauty = Beauty {
+                environment,
+                diffuse: self.share(self.counts.diffuse),
+                specular: self.share(self.counts.specular),
+                bent: if keys.occlusion == OcclusionKey::Bent { &open } else { &[] },
+                estimator,
+                seed,
+            };
+            let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
+            self.device.surface_beauty(&self.surfaces, &beauty, hits, &mut sums)?;
+            let [of_diffuse, of_specular] = match keys.beauty {
+                BeautyKey::Sampled => [beauty.diffuse.end as f32, beauty.specular.end as f32],
+                BeautyKey::Prefiltered => [1.0; 2],
+            };
+            for ((sheet, hit), sum) in sheets.iter_mut().zip(hits).zip(&sums) {
+                sheet.diffuse = diffuse(hit, sum[0], of_diffuse);
+                sheet.specular = specular(hit, sum[1], of_specular);
+            }
+        }
+        if self.wanted.volume {
+            let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
+            for term in self.light.terms() {
+                // Scattered light holds the environment's, which `both` takes from all around.
+                if keys.light == SurfaceLight::Volume || !matches!(term.weight, Weight::Uniform(_)) {
+                    self.device.surface_light(&self.surfaces, &term, hits, &mut sums)?;
+                }
+            }
+            for ((sheet, hit), sum) in sheets.iter_mut().zip(hits).zip(&sums) {
+                sheet.volume_diffuse = diffuse(hit, sum[0], 1.0);
+                sheet.volume_specular = specular(hit, sum[1], 1.0);
+            }
+        }
+        if let Some(environment) = environment.filter(|_| self.wanted.sss) {
+            let primary = self.share(self.counts.primary);
+            let subsurface = Subsurface {
+                environment,
+                primary,
+                secondary: self.counts.secondary,
+                fast: keys.sss == SssKey::Fast,
+                refracts: keys.refraction,
+                attenuation: self.attenuation(),
+                estimator,
+                seed,
+            };
+            let mut sums = vec![[0.0; 3]; hits.len()];
+            self.device.surface_subsurface(&self.surfaces, &subsurface, hits, &mut sums)?;
+            for ((sheet, hit), sum) in sheets.iter_mut().zip(hits).zip(&sums) {
+                let [r, g, b] = sum.map(|s| s / primary.end as f32);
+                let beneath = f32::from(u8::from(solids[hit.surface as usize].transmission > 0.0));
+                sheet.sss = [r, g, b, beneath];
+            }
+        }
+        Ok(sheets)
+    }
+
+    /// What a hit tells by itself.
+    fn plain(&self, hit: &Hit) -> Sheet {
+        let surface = &self.surfaces.surfaces[hit.surface as usize];
+        let spacing = self.medium.grid.spacing;
+        let eye = self.surfaces.eye();
+        let view = glam::Vec3::from_array(std::array::from_fn(|a| (hit.position[a] - eye[a]) * spacing[a] as f32));
+        let fresnel = surface.fresnel(-view.normalize_or_zero().dot(hit.normal.into()));
+        let weight = match self.of.keys.blend {
+            Blend::Opacity => surface.opacity,
+            Blend::Fresnel => fresnel,
+        };
+        Sheet {
+            cover: 1.0,
+            weight,
+            opacity: surface.opacity,
+            fresnel,
+            depth: hit.depth,
+            normal: hit.normal,
+            occlusion: 1.0,
+            ..Sheet::default()
+        }
+    }
+
+    fn attenuation(&self) -> Attenuation<'_> {
+        match self.of.keys.attenuation {
+            AttenuationKey::By(_) => Attenuation { rate: self.medium.table.chromatic, table: Some(&self.medium.table) },
+            AttenuationKey::PerVoxel(left) => {
+                let voxel = self.medium.grid.mean_spacing() as f32;
+                Attenuation { rate: left.rgb().map(|v| -v.ln() / voxel), table: None }
+            }
+        }
+    }
+}
