@@ -46,7 +46,7 @@ fn main() -> gloaming::Result<()> {
         hi: 1.0,
         extinction: (0..Table::ENTRIES).map(|i| 0.6 * ramp(i)).collect(),
         albedo: vec![[0.8, 0.7, 0.6]; Table::ENTRIES],
-        emission: vec![],
+        ..Default::default()
     };
     let upload = |values: &[f32]| -> gloaming::Result<Buffer> {
         let mut buffer = cpu.alloc(values.len())?;
@@ -92,6 +92,7 @@ fn main() -> gloaming::Result<()> {
         let march = March {
             grid: &grid,
             field: &field,
+            gradient: None,
             table: &table,
             bricks,
             majorant: &majorant,

@@ -1,6 +1,6 @@
 // Ray casting through data lit by light volumes: L = ∫ T σ_t [ω max(0, Σ weight·value) + j/σ_t] ds. A ray is cut into
 // intervals of `step` from where it enters the box, sampled in the middle of each; α = 1 − e^(−σ_t ds).
-// field, table, majorant, terms, light0…7, rays → rays
+// field, gradient, table, sums, majorant, terms, light0…7, rays → rays
 //
 // Each term has a light buffer of its own, except that the eighth and all further ones share the last.
 //
@@ -20,6 +20,9 @@ struct Params {
     scale: f32,
     up: vec3<f32>,
     entries: u32,
+    // Rows of a two-dimensional table, and rows per unit of gradient magnitude.
+    rows: u32,
+    steep: f32,
     per_world: vec3<f32>,
     // Mean spacing.
     spacing: f32,
@@ -46,13 +49,6 @@ override GLOW: bool = true;
 override LAMPS: bool = true;
 // Whether channels dim differently.
 override CHROMATIC: bool = true;
-
-// Single-scattering properties of a table entry.
-struct Optics {
-    albedo: vec3<f32>,
-    extinction: f32,
-    emission: vec3<f32>,
-}
 
 const UNIFORM: u32 = 0u;
 const PHASE: u32 = 1u;
@@ -93,40 +89,12 @@ struct Term {
 @group(0) @binding(12) var<storage, read> light7: array<f32>;
 // For each pixel radiance, transmittance and number of the next sample.
 @group(0) @binding(13) var<storage, read_write> rays: array<f32>;
+@group(0) @binding(14) var<storage, read> gradient: array<f32>;
+@group(0) @binding(15) var<storage, read> sums: array<Sums>;
 
 const MAX_TERMS: u32 = 32u;
 // Transmittance below which a ray ends.
 const OPAQUE: f32 = 1e-4;
-const FOUR_PI: f32 = 12.566370614359172;
-
-// The eight values round a position, x fastest, and their trilinear weights.
-struct Cell {
-    low: vec4<u32>,
-    high: vec4<u32>,
-    low_weight: vec4<f32>,
-    high_weight: vec4<f32>,
-}
-
-fn cell(size: vec3<u32>, held: vec2<u32>, position: vec3<f32>) -> Cell {
-    let first = vec3(0u, 0u, held.x);
-    let last = vec3(size.xy - 1u, held.y);
-    let p = clamp(position, vec3<f32>(first), vec3<f32>(last));
-    let base = min(vec3<u32>(p), max(last, vec3(1u)) - 1u);
-    let f = p - vec3<f32>(base);
-    let reach = min(vec3(1u), size - 1u);
-    let i = index(size, base - first);
-    let row = reach.y * size.x;
-    let layer = reach.z * size.x * size.y;
-    let low = vec4(i, i + reach.x, i + row, i + row + reach.x);
-    let across = vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y);
-    return Cell(low, low + layer, (1.0 - f.z) * across, f.z * across);
-}
-
-fn data(position: vec3<f32>) -> f32 {
-    let c = cell(params.size, params.held, position);
-    return dot(vec4(field[c.low.x], field[c.low.y], field[c.low.z], field[c.low.w]), c.low_weight)
-        + dot(vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]), c.high_weight);
-}
 
 fn light0_at(c: Cell) -> f32 {
     let a = c.low;
@@ -185,12 +153,6 @@ fn light7_at(c: Cell) -> f32 {
 }
 
 var<private> weights: array<vec3<f32>, MAX_TERMS>;
-var<private> to_eye: vec3<f32>;
-
-fn phase(g: f32, cosine: f32) -> f32 {
-    let base = 1.0 + g * g - 2.0 * g * cosine;
-    return (1.0 - g * g) / (FOUR_PI * base * sqrt(base));
-}
 
 // What one unit of a term's value contributes at a position.
 fn weight_at(t: u32, x: vec3<f32>) -> vec3<f32> {
@@ -257,29 +219,6 @@ fn term_weight(term: Term) -> vec3<f32> {
     return term.weight * phase(term.g, cosine);
 }
 
-fn extinction(value: f32) -> f32 {
-    if value < HOLE { return 0.0; }
-    let e = entry(value, params.lo, params.scale, params.entries);
-    return mix(table[e.below].extinction, table[e.below + 1u].extinction, e.fraction);
-}
-
-// Blinn–Phong by the gradient of extinction, gated by its magnitude (Zhang & Ma 2013 (24)).
-fn shading(x: vec3<f32>, sigma: f32) -> f32 {
-    let gradient = 0.5 * params.per_world * vec3(
-        extinction(data(x + vec3(1.0, 0.0, 0.0))) - extinction(data(x - vec3(1.0, 0.0, 0.0))),
-        extinction(data(x + vec3(0.0, 1.0, 0.0))) - extinction(data(x - vec3(0.0, 1.0, 0.0))),
-        extinction(data(x + vec3(0.0, 0.0, 1.0))) - extinction(data(x - vec3(0.0, 0.0, 1.0))),
-    );
-    let magnitude = length(gradient);
-    if magnitude == 0.0 { return 1.0; }
-    let normal = -gradient / magnitude;
-    let gate = magnitude * params.spacing / (magnitude * params.spacing + sigma);
-    let halfway = normalize(params.towards_light + to_eye);
-    let shade = params.ambient + params.diffuse * max(0.0, dot(normal, params.towards_light))
-        + params.specular * pow(max(0.0, dot(normal, halfway)), params.shininess);
-    return 1.0 + gate * (shade - 1.0);
-}
-
 @compute @workgroup_size(8, 8)
 fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.picture) { return; }
@@ -325,14 +264,12 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         let lower = min(u32(clamp(x.z, 0.0, f32(params.size.z - 1u))), max(params.size.z, 2u) - 2u);
         if lower < params.cells.x || lower >= params.cells.y { break; }
         n++;
-        let value = data(x);
+        let c = cell(params.size, params.held, x);
+        let value = data_in(c);
         if value < HOLE { continue; }
-        let e = entry(value, params.lo, params.scale, params.entries);
-        let low = table[e.below];
-        let high = table[e.below + 1u];
-        let sigma = mix(low.extinction, high.extinction, e.fraction);
-        let albedo = mix(low.albedo, high.albedo, e.fraction);
         let ds = end - begin;
+        let o = sample(x, 0.5 * ds * along, c, value);
+        let sigma = o.extinction;
         var sigmas = vec3(sigma);
         var alpha = vec3(1.0 - exp(-sigma * ds));
         if CHROMATIC {
@@ -340,11 +277,11 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
             alpha = 1.0 - exp(-sigmas * ds);
         }
         var added = vec3(0.0);
-        if GLOW { added = mix(low.emission, high.emission, e.fraction) * select(vec3(ds), alpha / sigmas, sigmas > vec3(0.0)); }
+        if GLOW { added = o.emission * select(vec3(ds), alpha / sigmas, sigmas > vec3(0.0)); }
         if sigma > 0.0 && TERMS > 0u {
             var scattered = in_scatter(x);
             if SHADE { scattered *= shading(x, sigma); }
-            added += alpha * albedo * scattered;
+            added += alpha * o.albedo * scattered;
         }
         radiance += transmittance * added;
         transmittance *= 1.0 - alpha;

@@ -30,7 +30,7 @@ pub struct LedgerRow {
     pub queue_depth: u64,
     /// Steps dropped so far.
     pub drops: u64,
-    /// `cold` or `warm`.
+    /// `cold` or `warm`; `none` where nobody wanted the light.
     pub start: String,
     /// Iterations of scattered light (0 when it was not solved).
     pub iterations: u64,
@@ -66,8 +66,10 @@ pub struct LedgerRow {
     pub lost: String,
 }
 
-impl From<&SolveReport> for LedgerRow {
-    fn from(solved: &SolveReport) -> Self {
+impl LedgerRow {
+    /// What a solve says of a step; `None` when its light was not solved, as nobody wanted it.
+    pub(crate) fn lit(solved: Option<&SolveReport>) -> Self {
+        let Some(solved) = solved else { return LedgerRow { start: "none".into(), ..LedgerRow::default() } };
         LedgerRow {
             start: if solved.warm { "warm" } else { "cold" }.into(),
             iterations: solved.iterations,

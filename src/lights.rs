@@ -11,10 +11,13 @@ use crate::scene::{LightKeys, LightKind, Model, Scene};
 mod area;
 mod emitters;
 mod panorama;
+mod texture;
 
 pub use area::Area;
 pub use emitters::Emitters;
 pub use panorama::{Cell, Panorama};
+pub use texture::Texture;
+pub(crate) use texture::read_linear;
 
 /// A light source in world space.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,6 +76,20 @@ pub enum Light {
         /// Factor on its radiance per channel.
         factor: [f32; 3],
     },
+}
+
+impl Light {
+    /// Mean radiance from all directions of an environment; `None` of other lights.
+    pub fn mean_radiance(&self) -> Option<[f32; 3]> {
+        match self {
+            Light::Environment { radiance } => Some(*radiance),
+            Light::Image { image, factor } => {
+                let mean = image.mean(&Cell { z: [-1.0, 1.0], azimuth: [0.0, TAU] });
+                Some(std::array::from_fn(|c| factor[c] * mean[c]))
+            }
+            _ => None,
+        }
+    }
 }
 
 /// The light sources of a scene, in order.

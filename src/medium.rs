@@ -3,7 +3,7 @@
 
 use std::sync::OnceLock;
 
-use crate::device::{Buffer, Device};
+use crate::device::{Buffer, Device, Optic};
 use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::{BrickLayout, Grid};
@@ -15,6 +15,8 @@ pub struct Medium {
     pub grid: Grid,
     /// The values; holes are [`EMPTY`](crate::field::EMPTY).
     pub field: Buffer,
+    /// Their gradient magnitudes, where the table is two-dimensional.
+    pub gradient: Option<Buffer>,
     /// Values to optics.
     pub table: Table,
     /// Bricks for empty-space skipping.
@@ -44,6 +46,7 @@ impl Medium {
         let bricks = BrickLayout::new(grid.size, Self::EDGE);
         Ok(Medium {
             field: device.alloc(grid.len())?,
+            gradient: table.graded.is_some().then(|| device.alloc(grid.len())).transpose()?,
             ranges: vec![],
             majorant: vec![],
             majorant_before: vec![],
@@ -91,7 +94,11 @@ impl Medium {
             return Ok(None);
         }
         let seen = self.majorant.iter().zip(&self.majorant_before).map(|(now, before)| *now > 0.0 || *before > 0.0);
-        Ok(self.changed(device)?.map(|changed| changed.iter().zip(seen).map(|(c, s)| *c && s).collect()))
+        let Some(changed) = self.changed(device)? else { return Ok(None) };
+        // Gradients in the halo depend on the values beyond it.
+        let beside = self.gradient.is_some().then(|| self.dilated(changed, |a, b| *a || b));
+        let changed = beside.as_deref().unwrap_or(changed);
+        Ok(Some(changed.iter().zip(seen).map(|(c, s)| *c && s).collect()))
     }
 
     /// True when every value and the transfer function are those of the step before.
@@ -117,6 +124,9 @@ impl Medium {
         }
         let (holes, ranges) = device.take(&self.grid, &step.field, &self.bricks, &mut self.host, &mut self.field)?;
         self.ranges = ranges;
+        if let Some(gradient) = &mut self.gradient {
+            device.gradient(&self.grid, &self.field, gradient)?;
+        }
         (self.follows, self.taken) = (follows && self.before.is_some(), true);
         let (lo, hi) =
             self.ranges.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), r| (l.min(r[0]), h.max(r[1])));
@@ -127,6 +137,41 @@ impl Medium {
     pub fn classify(&mut self, table: Table) {
         self.same_table = self.table == table;
         self.table = table;
-        self.majorant_before = std::mem::replace(&mut self.majorant, self.table.majorants(&self.ranges));
+        let mut majorant = self.table.majorants(&self.ranges);
+        if self.table.preintegrated {
+            // An interval reaches beyond the brick that its middle is in.
+            majorant = self.dilated(&majorant, |a, b| a.max(b));
+        }
+        self.majorant_before = std::mem::replace(&mut self.majorant, majorant);
+    }
+
+    /// For each brick what `join` makes of it and those around it.
+    fn dilated<T: Copy>(&self, of: &[T], join: impl Fn(&T, T) -> T) -> Vec<T> {
+        let counts = self.bricks.counts();
+        let around = |b: usize| {
+            let c = self.bricks.coords(b);
+            let range = |a: usize| c[a].saturating_sub(1)..(c[a] + 2).min(counts[a]);
+            let near = range(2).flat_map(move |z| range(1).flat_map(move |y| range(0).map(move |x| [x, y, z])));
+            near.fold(of[b], |sum, at| join(&sum, of[self.bricks.number(at)]))
+        };
+        (0..self.bricks.len()).map(around).collect()
+    }
+
+    /// An optical property on a grid of `size` that fills the same box: see [`Device::classify`].
+    pub fn property(&self, device: &dyn Device, optic: Optic, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        match &self.gradient {
+            Some(gradient) => {
+                device.classify_graded(optic, &self.table, (self.grid.size, &self.field, gradient), size, out)
+            }
+            None => device.classify(optic, &self.table, self.grid.size, &self.field, size, out),
+        }
+    }
+
+    /// Several of them; where data have to be read, once for all.
+    pub fn properties(&self, device: &dyn Device, wanted: &mut [(Optic, &mut Buffer)], size: [usize; 3]) -> Result<()> {
+        match &self.gradient {
+            Some(_) => wanted.iter_mut().try_for_each(|(optic, out)| self.property(device, *optic, size, out)),
+            None => device.classify_each(wanted, &self.table, self.grid.size, &self.field, size),
+        }
     }
 }

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
-use crate::light::{IlluminatedVolume, LightSolver, LightVolume, SolveReport};
+use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
 use crate::light_state::{About, LightState};
 use crate::lights::{self, Light};
 use crate::medium::Medium;
@@ -204,8 +204,8 @@ impl Session {
         state.solver.only_visible(!lit && self.scene.render.kind == RenderKind::Raycast);
         state.solver.only_direct(!lit && !self.renderer.needs_scattered_light());
         let solved = match lit || self.renderer.needs_light() {
-            true => state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?,
-            false => SolveReport::default(),
+            true => Some(state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?),
+            false => None,
         };
         let light = if lit { Some(Arc::new(state.solver.illuminated(device, &state.light)?)) } else { None };
         let shown = is_news(&mut self.news, light.as_ref());
@@ -229,7 +229,7 @@ impl Session {
             light_ms,
             render_ms,
             frames: pictures.views.len() as u64,
-            ..LedgerRow::from(&solved)
+            ..LedgerRow::lit(solved.as_ref())
         };
         let light = light.filter(|_| self.wants_light && shown);
         Ok(Output { step: step.step, time: step.time, range, frames: pictures.views, light, row })

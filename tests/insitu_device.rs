@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use gloaming::device::convection::{Convected, Convection, Layers};
 use gloaming::device::cpu::Cpu;
+use gloaming::device::slices::Slices;
 use gloaming::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Transport};
 use gloaming::field::{Dense, Timestep};
 use gloaming::frame::Frame;
@@ -152,6 +153,22 @@ impl Device for Faulty {
     }
     fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
         self.inner.march_slab(march, part, picture, rays)
+    }
+    fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.inner.gradient(grid, field, out)
+    }
+    fn classify_graded(
+        &self,
+        optic: Optic,
+        table: &Table,
+        data: ([usize; 3], &Buffer, &Buffer),
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        self.inner.classify_graded(optic, table, data, size, out)
+    }
+    fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
+        self.inner.slice(slices, rays)
     }
 }
 

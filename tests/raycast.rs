@@ -19,7 +19,7 @@ fn linear(sigma: f32, albedo: [f32; 3]) -> Table {
         hi: 1.0,
         extinction: (0..Table::ENTRIES).map(|i| sigma * i as f32 / last).collect(),
         albedo: vec![albedo; Table::ENTRIES],
-        emission: vec![],
+        ..Default::default()
     }
 }
 
@@ -71,6 +71,7 @@ impl Shot {
         let march = March {
             grid: &self.grid,
             field: &field,
+            gradient: None,
             table: &self.table,
             bricks,
             majorant: &majorant,
@@ -420,6 +421,7 @@ fn error_of_the_reference_picture(cubic: bool) -> f64 {
     let march = March {
         grid: &grid,
         field: &field,
+        gradient: None,
         table: &table,
         bricks,
         majorant: &majorant,

@@ -86,6 +86,8 @@ pub struct March<'a> {
     pub grid: &'a Grid,
     /// Data values; below [`crate::field::HOLE`] transparent.
     pub field: &'a Buffer,
+    /// Gradient magnitudes of the data ([`super::Device::gradient`]), where the table is two-dimensional.
+    pub gradient: Option<&'a Buffer>,
     /// Values to optics.
     pub table: &'a Table,
     /// Bricks of the data grid for empty-space skipping.

@@ -27,6 +27,7 @@ mod optic;
 pub mod paged;
 pub mod random;
 mod scatter;
+pub mod slices;
 pub mod surface;
 mod sweep;
 
@@ -322,6 +323,25 @@ pub trait Device: Send + Sync {
         }
         Ok(())
     }
+
+    /// One pass of half-angle slicing: see [`slices::Slices`]. Adds to what the rays of the window hold; there is one for each pixel
+    /// of the picture.
+    fn slice(&self, slices: &slices::Slices, rays: &mut [Ray]) -> Result<()>;
+
+    /// Gradient magnitude of data on `grid`, data values per world length: central differences of neighbours (GPU Gems 39 (2)); a
+    /// neighbour that is beyond the edge or a hole repeats the value itself. 0 in holes.
+    fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()>;
+
+    /// [`Device::classify`] by a two-dimensional table; `of` are the size of the data,
+    /// the data, and their gradient magnitudes.
+    fn classify_graded(
+        &self,
+        optic: Optic,
+        table: &Table,
+        of: ([usize; 3], &Buffer, &Buffer),
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()>;
 
     /// Carries rays on to the next isosurface in their way, or to where they leave ([`Hit::NONE`]): see [`Surfaces`].
     fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {

@@ -25,16 +25,18 @@ pub enum Optic {
 }
 
 impl Optic {
-    /// The property for each entry of a transfer function; what lies between entries is linear.
+    /// The property for each entry of a transfer function, row by row where it has more than one; what lies between entries is
+    /// linear.
     pub fn curve(self, table: &Table) -> Vec<f32> {
-        (0..table.extinction.len())
+        let (extinction, albedo, emission) = table.columns();
+        (0..extinction.len())
             .map(|i| {
-                let (sigma, albedo) = (table.extinction[i], table.albedo[i]);
+                let (sigma, albedo) = (extinction[i], albedo[i]);
                 match self {
                     Optic::Extinction => sigma,
                     Optic::ScaledExtinction { f } => sigma * (1.0 - f * (albedo[0] + albedo[1] + albedo[2]) / 3.0),
                     Optic::Scattering { channel } => sigma * albedo[channel],
-                    Optic::Emission { channel } => table.emission.get(i).map_or(0.0, |e| e[channel]),
+                    Optic::Emission { channel } => emission.get(i).map_or(0.0, |e| e[channel]),
                 }
             })
             .collect()

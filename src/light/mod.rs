@@ -7,7 +7,7 @@
 //! [`ordinates::Scattered::volumes`] and one more for each light a voxel of the grid of scattered light: 25 where one channel
 //! stands for all and scattering is isotropic. All of it is taken in the first steps and used again.
 
-use crate::device::{Device, Term};
+use crate::device::{Cone, Device, Lamp, Term, Weight};
 use crate::error::{Error, Result};
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
@@ -22,6 +22,30 @@ mod physical;
 pub use direct::{Direct, DirectReport, Rays};
 use paper::Paper;
 use physical::Physical;
+
+/// The lamp that a light in one place is, and its radiant intensity.
+pub(crate) fn lamp(light: &Light) -> Option<(Lamp, [f32; 3])> {
+    match *light {
+        Light::Point { position, radius, intensity } => Some((Lamp { position, radius, cone: None }, intensity)),
+        Light::Cone { position, direction, angle, edge, radius, intensity } => {
+            let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos(), cosine: false };
+            Some((Lamp { position, radius, cone: Some(cone) }, intensity))
+        }
+        Light::Patch { position, direction, radius, intensity } => {
+            Some((Lamp { position, radius, cone: Some(Cone::facing(direction)) }, intensity))
+        }
+        _ => None,
+    }
+}
+
+/// What one unit of a light's transmittance adds to radiance where it is scattered by Henyey–Greenstein's `g`; `None` of
+/// environments.
+pub(crate) fn weight(light: &Light, g: f32) -> Option<Weight> {
+    match *light {
+        Light::Distant { direction, irradiance } => Some(Weight::Phase { direction, irradiance, g }),
+        _ => lamp(light).map(|(lamp, intensity)| Weight::Lamp { lamp, intensity, g }),
+    }
+}
 
 /// The light of one step: fluence per colour channel on the light grid.
 #[derive(Debug, Clone, PartialEq)]

@@ -120,8 +120,7 @@ impl Paper {
         let begun = Instant::now();
         let mut report = SolveReport { converged: true, ..Default::default() };
         self.sigma.swap(0, 1);
-        let (data, field) = (medium.grid.size, &medium.field);
-        device.classify(Optic::Extinction, &medium.table, data, field, self.grid.size, &mut self.sigma[0])?;
+        medium.property(device, Optic::Extinction, self.grid.size, &mut self.sigma[0])?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
         let change = if warm {
             report.voxel_updates += self.grid.len() as u64;

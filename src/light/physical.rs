@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::direct::{Direct, Rays};
 use super::ordinates::{KeptChannel, ScatterProblem, Scattered, cells};
 use super::{IlluminatedVolume, SolveReport, Touched};
-use crate::device::{Buffer, Cone, Device, Lamp, Optic, Term, Travel, Weight};
+use crate::device::{Buffer, Device, Lamp, Optic, Term, Travel, Weight};
 use crate::error::Result;
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::{Cell, Light};
@@ -66,29 +66,21 @@ impl Source {
 
     /// The sweep for a light, if it takes one.
     fn new(grid: &Grid, light: &Light, cubic: bool, factor: f32) -> Option<Self> {
-        let lamp = |position, radius, cone, strength| Source {
-            rays: Rays::radial(grid, position, factor),
-            travel: Travel::From(position),
-            lamp: Some(Lamp { position, radius, cone }),
-            strength,
-        };
-        match *light {
-            Light::Distant { direction, irradiance } => Some(Source {
+        if let Light::Distant { direction, irradiance } = *light {
+            return Some(Source {
                 rays: Rays::parallel(grid, direction, cubic, factor),
                 travel: Travel::Along(direction),
                 lamp: None,
                 strength: irradiance,
-            }),
-            Light::Point { position, radius, intensity } => Some(lamp(position, radius, None, intensity)),
-            Light::Cone { position, direction, angle, edge, radius, intensity } => {
-                let cone = Cone { axis: direction, outer: angle.cos(), inner: (angle - edge).cos(), cosine: false };
-                Some(lamp(position, radius, Some(cone), intensity))
-            }
-            Light::Patch { position, direction, radius, intensity } => {
-                Some(lamp(position, radius, Some(Cone::facing(direction)), intensity))
-            }
-            Light::Environment { .. } | Light::Image { .. } => None,
+            });
         }
+        let (lamp, strength) = super::lamp(light)?;
+        Some(Source {
+            rays: Rays::radial(grid, lamp.position, factor),
+            travel: Travel::From(lamp.position),
+            lamp: Some(lamp),
+            strength,
+        })
     }
 
     fn weight(&self, g: f32) -> Weight {
@@ -172,7 +164,7 @@ impl Physical {
         // With multiple scattering the forward peak counts as unscattered (delta-Eddington), in what the eye sees too.
         let f = if self.keys.scattering { self.anisotropy * self.anisotropy } else { 0.0 };
         let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
-        device.classify(optic, &medium.table, medium.grid.size, &medium.field, self.grid.size, now)?;
+        medium.property(device, optic, self.grid.size, now)?;
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
         let change = if warm {
             report.voxel_updates += self.grid.len() as u64;
@@ -442,7 +434,7 @@ impl Physical {
         let mut wanted = vec![(Optic::ScaledExtinction { f }, sigma)];
         wanted.extend(scattering.iter_mut().enumerate().map(|(channel, out)| (Optic::Scattering { channel }, out)));
         wanted.extend(emission.iter_mut().enumerate().map(|(channel, out)| (Optic::Emission { channel }, out)));
-        device.classify_each(&mut wanted, &medium.table, medium.grid.size, &medium.field, self.coarse.size)?;
+        medium.properties(device, &mut wanted, self.coarse.size)?;
         for ((source, direct), out) in volume.direct.iter().zip(&mut optics.first) {
             let fine = match (&source.lamp, &mut self.lit) {
                 (Some(lamp), Some(lit)) => {

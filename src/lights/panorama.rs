@@ -7,10 +7,9 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use glam::DVec3;
-use image::{DynamicImage, ImageReader};
 
-use crate::error::{Error, Result};
-use crate::frame::srgb_decode;
+use super::texture::read_linear;
+use crate::error::Result;
 use crate::scene::LightKeys;
 
 /// An equirectangular image of radiance.
@@ -129,23 +128,8 @@ impl Panorama {
 
 /// Size and linear RGB of an image file, row by row from the top; `remedy` is what would do instead of what cannot be read.
 pub(super) fn read(path: &Path, remedy: &str) -> Result<([usize; 2], Vec<[f32; 3]>)> {
-    let reader = ImageReader::open(path).map_err(|e| Error::io(path, e))?;
-    let reader = reader.with_guessed_format().map_err(|e| Error::io(path, e))?;
-    let image =
-        reader.decode().map_err(|e| Error::format(path, format!("not an image that can be read: {e}"), remedy))?;
-    let linear = matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_));
-    let rgb = image.into_rgb32f();
-    let size = [rgb.width() as usize, rgb.height() as usize];
-    let decode = |v: f32| if linear { v } else { srgb_decode(f64::from(v)) as f32 };
-    let pixels: Vec<[f32; 3]> = rgb.pixels().map(|p| p.0.map(decode)).collect();
-    if pixels.is_empty() {
-        return Err(Error::format(path, "an image without pixels", remedy));
-    }
-    if let Some(at) = pixels.iter().flatten().position(|v| !(*v >= 0.0 && v.is_finite())) {
-        let [x, y] = [at / 3 % size[0], at / 3 / size[0]];
-        let found = format!("radiance {} at pixel ({x}, {y})", pixels[at / 3][at % 3]);
-        return Err(Error::format(path, found, "radiance that is finite and 0 or more"));
-    }
+    let (size, pixels) = read_linear(path, remedy)?;
+    let pixels = pixels.into_iter().map(|[r, g, b, _]| [r, g, b]).collect();
     Ok((size, pixels))
 }
 

@@ -13,9 +13,11 @@ pub mod film;
 pub mod isosurface;
 mod raycast;
 pub mod reuse;
+mod slices;
 
 pub use isosurface::Isosurface;
 pub use raycast::Raycast;
+pub use slices::HalfAngle;
 
 /// Makes pictures of a lit volume.
 pub trait Renderer: Send {
@@ -64,9 +66,8 @@ pub trait Renderer: Send {
 pub fn renderer(scene: &Scene) -> Result<Box<dyn Renderer>> {
     match scene.render.kind {
         RenderKind::Raycast => Ok(Box::new(Raycast::new(scene))),
+        RenderKind::Slices => Ok(Box::new(HalfAngle::new(scene)?)),
         RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene)?)),
-        kind => {
-            Err(Error::Unsupported(format!("render.kind = {kind:?}; this version has \"raycast\" and \"isosurface\"")))
-        }
+        RenderKind::Pathtrace => Err(Error::Unsupported("render.kind = \"pathtrace\" in this version".into())),
     }
 }

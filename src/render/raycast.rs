@@ -21,27 +21,22 @@ impl Raycast {
     pub fn new(scene: &Scene) -> Self {
         Raycast { keys: scene.render.clone() }
     }
+}
 
-    /// Phong shading for the first distant, point or cone light; one in a place counts as distant, as the middle of the volume
-    /// sees it.
-    fn phong(&self, light: &LightVolume, grid: &Grid) -> Option<Phong> {
-        let (lo, hi) = grid.bounds();
-        let direction = light.lights().iter().find_map(|l| match *l {
-            Light::Distant { direction, .. } => Some(direction),
-            Light::Point { position, .. } | Light::Cone { position, .. } | Light::Patch { position, .. } => {
-                (0.5 * (lo + hi) - position).as_vec3().try_normalize()
-            }
-            _ => None,
-        })?;
-        let RenderKeys { ambient, diffuse, specular, shininess, .. } = self.keys;
-        (self.keys.shading == Shading::Phong).then_some(Phong {
-            towards_light: -direction,
-            ambient,
-            diffuse,
-            specular,
-            shininess,
-        })
-    }
+/// Phong shading for the first distant, point or cone light, if it is wanted; a light in a place counts as distant, as the middle
+/// of the volume sees it.
+pub(super) fn phong(keys: &RenderKeys, lights: &[Light], grid: &Grid) -> Option<Phong> {
+    let (lo, hi) = grid.bounds();
+    let direction = lights.iter().find_map(|l| match *l {
+        Light::Distant { direction, .. } => Some(direction),
+        Light::Point { position, .. } | Light::Cone { position, .. } | Light::Patch { position, .. } => {
+            (0.5 * (lo + hi) - position).as_vec3().try_normalize()
+        }
+        _ => None,
+    })?;
+    let RenderKeys { ambient, diffuse, specular, shininess, .. } = *keys;
+    let phong = Phong { towards_light: -direction, ambient, diffuse, specular, shininess };
+    (keys.shading == Shading::Phong).then_some(phong)
 }
 
 impl Renderer for Raycast {
@@ -90,11 +85,12 @@ impl Raycast {
         let march = March {
             grid: &medium.grid,
             field: &medium.field,
+            gradient: medium.gradient.as_ref(),
             table: &medium.table,
             bricks: medium.bricks,
             majorant: &medium.majorant,
             terms: &terms,
-            phong: self.phong(light, &medium.grid),
+            phong: phong(&self.keys, light.lights(), &medium.grid),
             camera,
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };

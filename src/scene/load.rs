@@ -10,7 +10,7 @@ use toml::{Table, Value};
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
 use super::{
     CameraKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MovieKeys, PathtraceKeys, RenderKeys, Scene,
-    SolverKeys, TransferKeys,
+    SlicesKeys, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 
@@ -31,10 +31,14 @@ impl Scene {
                 let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
                 let mut scene = Scene::parse(&text, &path.display().to_string(), sets)?;
                 // Paths in a file start at its folder, those of overrides where the user stands.
-                for (i, light) in scene.lights.iter_mut().enumerate() {
-                    let key = format!("lights.{i}.image");
+                let lights = scene.lights.iter_mut().enumerate();
+                let images = lights.map(|(i, light)| (format!("lights.{i}.image"), &mut light.image));
+                for (key, image) in images.chain([
+                    ("slices.spotlight".into(), &mut scene.slices.spotlight),
+                    ("transfer.painting".into(), &mut scene.transfer.painting),
+                ]) {
                     let overridden = sets.iter().any(|s| s.split('=').next().is_some_and(|k| k.trim() == key));
-                    if let (Some(image), Some(folder), false) = (&mut light.image, path.parent(), overridden) {
+                    if let (Some(image), Some(folder), false) = (image, path.parent(), overridden) {
                         *image = folder.join(&*image);
                     }
                 }
@@ -144,6 +148,7 @@ impl Document {
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,
             pathtrace: self.table::<PathtraceKeys>("pathtrace")?,
+            slices: self.table::<SlicesKeys>("slices")?,
             isosurface: self.table::<IsosurfaceKeys>("isosurface")?,
             movie: self.table::<MovieKeys>("movie")?,
             insitu: self.table::<InSituKeys>("insitu")?,

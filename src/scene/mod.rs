@@ -11,6 +11,8 @@ mod insitu;
 mod isosurface;
 mod load;
 mod pathtrace;
+mod regions;
+mod slices;
 mod validate;
 
 pub(crate) use allowed::nearest;
@@ -21,6 +23,8 @@ pub use isosurface::{
     PerSurfaceRgb, Quality, SssKey, SurfaceLight, ValueUnits,
 };
 pub use pathtrace::{Denoise, PathtraceKeys};
+pub use regions::{RegionKeys, Shape};
+pub use slices::SlicesKeys;
 
 /// A whole scene file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
@@ -40,6 +44,8 @@ pub struct Scene {
     pub render: RenderKeys,
     /// What path tracing alone has to know.
     pub pathtrace: PathtraceKeys,
+    /// Half-angle slices.
+    pub slices: SlicesKeys,
     /// Isosurfaces, for `render.kind = "isosurface"`.
     pub isosurface: IsosurfaceKeys,
     /// How a movie is encoded.
@@ -127,6 +133,23 @@ pub struct TransferKeys {
     pub anisotropy: f32,
     /// Emitted radiance per reference length as `[value, radiance]`, in the map's colour.
     pub emission: Vec<[f32; 2]>,
+    /// Parts of the plane of value and gradient magnitude that are seen; beside them `opacity` and `extinction` count only where
+    /// they are given.
+    pub regions: Vec<RegionKeys>,
+    /// Image (OpenEXR, PNG) of that plane, seen likewise: value from left to right, gradient from bottom to top, coverage as
+    /// opacity per reference length.
+    pub painting: Option<std::path::PathBuf>,
+    /// Gradient magnitude that is 1 in that plane, in ranges of the values per voxel (mean spacing).
+    pub steepest: f64,
+    /// Samples take the mean over all values between those at the ends of their interval.
+    pub preintegrated: bool,
+}
+
+impl TransferKeys {
+    /// True when gradient magnitudes matter.
+    pub fn two_dimensional(&self) -> bool {
+        !self.regions.is_empty() || self.painting.is_some()
+    }
 }
 
 impl Default for TransferKeys {
@@ -141,6 +164,10 @@ impl Default for TransferKeys {
             albedo: NumberOrRgb::Number(0.8),
             anisotropy: 0.0,
             emission: vec![],
+            regions: vec![],
+            painting: None,
+            steepest: 0.25,
+            preintegrated: false,
         }
     }
 }
@@ -465,7 +492,7 @@ impl Default for CameraKeys {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderKeys {
-    /// raycast or isosurface; pathtrace and slices are to come.
+    /// raycast, isosurface or slices; pathtrace is to come.
     pub kind: RenderKind,
     /// Width and height in pixels.
     pub size: [usize; 2],

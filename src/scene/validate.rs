@@ -6,7 +6,7 @@ use super::allowed::allowed;
 use super::area;
 use super::{
     CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys,
-    RangeKey, RenderKeys, RenderKind, Scene, SolverKeys, TextureKind, TransferKeys,
+    RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -58,6 +58,13 @@ impl Scene {
         }
         render(&self.render)?;
         pathtrace(&self.pathtrace)?;
+        slices(&self.slices)?;
+        if self.render.preview > 1 && self.transfer.two_dimensional() {
+            return Err(Error::Unsupported(
+                "render.preview with transfer.regions or transfer.painting\n  try: render.preview = 1, or transfer.opacity alone"
+                    .into(),
+            ));
+        }
         self.isosurface.validate()?;
         movie(&self.movie)?;
         insitu(&self.insitu)
@@ -120,7 +127,28 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
         let radiance = keys.emission.iter().all(|p| nonnegative(p[1]));
         require(ascending(&keys.emission) && radiance, "transfer.emission", &keys.emission)?;
     }
-    TransferFunction::new(keys).map(drop)
+    require(keys.steepest > 0.0 && keys.steepest.is_finite(), "transfer.steepest", keys.steepest)?;
+    for (i, region) in keys.regions.iter().enumerate() {
+        let span = |[a, b]: [f32; 2]| unit(a) && unit(b) && a <= b;
+        let wrong = [
+            ("value", !span(region.value), "[least, largest], both 0 to 1"),
+            ("gradient", !span(region.gradient), "[least, largest], both 0 to 1"),
+            ("opacity", !unit(region.opacity), "a number from 0 to 1"),
+            ("color", !region.color.into_iter().all(unit), "[red, green, blue], each 0 to 1"),
+            ("emission", !nonnegative(region.emission), "a finite number, 0 or more"),
+            ("edge", !unit(region.edge), "a number from 0 to 1"),
+        ];
+        if let Some((name, _, words)) = wrong.into_iter().find(|(_, wrong, _)| *wrong) {
+            return Err(Error::scene(format!("transfer.regions.{i}.{name}"), format!("not allowed; allowed: {words}")));
+        }
+    }
+    if keys.preintegrated && keys.two_dimensional() {
+        return Err(Error::Unsupported(
+            "transfer.preintegrated with transfer.regions or transfer.painting\n  try: one of the two".into(),
+        ));
+    }
+    // A painting is read when the session starts.
+    TransferFunction::new(&TransferKeys { painting: None, ..keys.clone() }).map(drop)
 }
 
 fn light(i: usize, keys: &LightKeys) -> Result<()> {
@@ -186,13 +214,12 @@ fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
 
 fn render(keys: &RenderKeys) -> Result<()> {
     let kind = match keys.kind {
-        RenderKind::Raycast | RenderKind::Isosurface => None,
+        RenderKind::Raycast | RenderKind::Isosurface | RenderKind::Slices => None,
         RenderKind::Pathtrace => Some("pathtrace"),
-        RenderKind::Slices => Some("slices"),
     };
     if let Some(kind) = kind {
         return Err(Error::Unsupported(format!(
-            "render.kind = \"{kind}\": this version has \"raycast\" and \"isosurface\""
+            "render.kind = \"{kind}\": this version has \"raycast\", \"isosurface\" and \"slices\""
         )));
     }
     require(keys.size.iter().all(|n| (1..=16384).contains(n)), "render.size", keys.size)?;
@@ -212,6 +239,12 @@ fn render(keys: &RenderKeys) -> Result<()> {
 
 fn pathtrace(keys: &PathtraceKeys) -> Result<()> {
     require((0.0..=8.0).contains(&keys.filter), "pathtrace.filter", keys.filter)
+}
+
+fn slices(keys: &SlicesKeys) -> Result<()> {
+    require(keys.resolution > 0.0 && keys.resolution <= 8.0, "slices.resolution", keys.resolution)?;
+    require(keys.attenuation.rgb().into_iter().all(nonnegative), "slices.attenuation", keys.attenuation.rgb())?;
+    require((0.0..=120.0).contains(&keys.blur), "slices.blur", keys.blur)
 }
 
 fn movie(keys: &MovieKeys) -> Result<()> {

@@ -144,10 +144,14 @@ impl Colormap {
 
     /// sRGB colour of a normalised value.
     pub(super) fn srgb(&self, at: f32) -> [f32; 3] {
-        let [r, g, b] = self.linear(at);
-        let [r, g, b, _] = colorgrad::Color::from_linear_rgba(r, g, b, 1.0).to_array();
-        [r, g, b].map(|c| c.clamp(0.0, 1.0))
+        encoded(self.linear(at))
     }
+}
+
+/// sRGB of a scene-linear colour.
+pub(super) fn encoded([r, g, b]: [f32; 3]) -> [f32; 3] {
+    let [r, g, b, _] = colorgrad::Color::from_linear_rgba(r, g, b, 1.0).to_array();
+    [r, g, b].map(|c| c.clamp(0.0, 1.0))
 }
 
 #[cfg(test)]

@@ -6,14 +6,18 @@
 //! scene-linear light, extinction of a colour channel is `σ_t` times its factor in `chromatic`, and emission is a curve of radiance per reference length times c.
 
 mod colormap;
+mod graded;
+mod region;
 mod table;
 
 pub use colormap::names;
-pub use table::Table;
+pub use graded::Graded;
+pub use table::{Optics, Table};
 
 use crate::error::Result;
-use crate::scene::TransferKeys;
+use crate::scene::{RegionKeys, TransferKeys};
 use colormap::Colormap;
+use region::{Painting, Spot};
 
 /// Opacity when the scene says nothing: nothing at the bottom of the range, half at the top.
 const DEFAULT_OPACITY: [[f32; 2]; 2] = [[0.0, 0.0], [1.0, 0.5]];
@@ -33,6 +37,14 @@ pub struct TransferFunction {
     emission: Vec<[f32; 2]>,
     /// Reference length in mean spacings.
     reference: f64,
+    /// What is seen of parts of the plane of value and gradient magnitude.
+    regions: Vec<RegionKeys>,
+    painting: Option<Painting>,
+    /// Gradient magnitude that is 1 in that plane: ranges of values per mean spacing.
+    steepest: f64,
+    /// Whether the curves over values alone count beside the regions.
+    plain: bool,
+    preintegrated: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -71,6 +83,11 @@ impl TransferFunction {
             chromatic: keys.chromatic.map(|k| k / strongest),
             emission: if glows { keys.emission.clone() } else { vec![] },
             reference: keys.reference,
+            regions: keys.regions.clone(),
+            painting: keys.painting.as_deref().map(Painting::read).transpose()?,
+            steepest: keys.steepest,
+            plain: keys.opacity.is_some() || keys.extinction.is_some() || !keys.two_dimensional(),
+            preintegrated: keys.preintegrated,
         })
     }
 
@@ -95,7 +112,83 @@ impl TransferFunction {
                 .collect(),
         };
         let albedo = colors.iter().map(|c| std::array::from_fn(|i| self.albedo[i] * c[i])).collect();
-        Table { lo: range[0] as f32, hi: range[1] as f32, extinction, chromatic: self.chromatic, albedo, emission }
+        let (lo, hi) = (range[0] as f32, range[1] as f32);
+        let table = Table {
+            lo,
+            hi,
+            extinction,
+            chromatic: self.chromatic,
+            albedo,
+            emission,
+            graded: None,
+            preintegrated: self.preintegrated,
+        };
+        if self.regions.is_empty() && self.painting.is_none() {
+            return table;
+        }
+        let graded = self.graded(&table, length, (self.steepest * (range[1] - range[0]) / mean_spacing) as f32);
+        let (extinction, albedo, emission) = graded.envelope();
+        Table { extinction, albedo, emission, graded: Some(graded), ..table }
+    }
+
+    /// The plane of value and gradient magnitude: what is seen of the curves, of each region and of the painting adds up as media
+    /// do, each with its own albedo.
+    fn graded(&self, curves: &Table, length: f64, steepest: f32) -> Graded {
+        let (width, height) = (Table::ENTRIES, Graded::ROWS);
+        let mut graded = Graded {
+            steepest,
+            extinction: Vec::with_capacity(width * height),
+            albedo: Vec::with_capacity(width * height),
+            emission: Vec::with_capacity(width * height),
+        };
+        for j in 0..height {
+            let gradient = j as f32 / (height - 1) as f32;
+            for i in 0..width {
+                let value = i as f32 / (width - 1) as f32;
+                let spots = self.regions.iter().map(|keys| region::spot(keys, value, gradient));
+                let painted = self.painting.iter().map(|painting| painting.spot(value, gradient));
+                let base = if self.plain { curves.extinction[i] } else { 0.0 };
+                let (mut sigma, mut scattering) = (base, curves.albedo[i].map(|a| base * a));
+                let mut glow = curves.emission.get(i).copied().unwrap_or_default();
+                for Spot { opacity, color, emission } in spots.chain(painted) {
+                    let more = (self.strongest * extinction(opacity.into()) / length) as f32;
+                    sigma += more;
+                    for c in 0..3 {
+                        scattering[c] += more * self.albedo[c] * color[c];
+                        glow[c] += (f64::from(emission) / length) as f32 * color[c];
+                    }
+                }
+                graded.extinction.push(sigma);
+                let albedo = if sigma == base { curves.albedo[i] } else { scattering.map(|s| s / sigma) };
+                graded.albedo.push(albedo.map(|a: f32| a.min(1.0)));
+                graded.emission.push(glow);
+            }
+        }
+        graded::spread_colors(&graded.extinction, &mut graded.albedo);
+        if graded.emission.iter().flatten().all(|e| *e == 0.0) {
+            graded.emission.clear();
+        }
+        graded
+    }
+
+    /// Colour, sRGB in 0..1, and opacity per reference length of a value and a gradient magnitude, both 0..1, as pictures of the
+    /// transfer function show them.
+    pub fn swatch(&self, value: f32, gradient: f32) -> ([f32; 3], f32) {
+        let spots = self.regions.iter().map(|keys| region::spot(keys, value, gradient));
+        let spots = spots.chain(self.painting.iter().map(|painting| painting.spot(value, gradient)));
+        let curve = match &self.density {
+            _ if !self.plain => 0.0,
+            Density::Opacity(points) => interpolate(points, value.into()) as f32,
+            // Per mean spacing of 1.
+            Density::Extinction(largest) => -(-(f64::from(value) * largest * self.reference)).exp_m1() as f32,
+        };
+        let (mut clear, mut color, mut weight) = (1.0 - curve, self.colors.linear(value).map(|c| c * curve), curve);
+        for Spot { opacity, color: of, .. } in spots {
+            clear *= 1.0 - opacity;
+            weight += opacity;
+            (0..3).for_each(|c| color[c] += opacity * of[c]);
+        }
+        (colormap::encoded(color.map(|v| if weight > 0.0 { v / weight } else { 0.0 })), 1.0 - clear)
     }
 
     /// The map's colours from value 0 to 1, sRGB in 0..1, as a colour bar shows them.

@@ -1,5 +1,7 @@
 //! Tabulated transfer functions, and what can be seen in a range of values.
 
+use super::graded::Graded;
+
 /// A transfer function, tabulated: entry `i` of `n` stands for the normalised value `i/(n−1)`; in between it is linear, and
 /// values outside 0..1 are clamped.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,6 +18,38 @@ pub struct Table {
     pub albedo: Vec<[f32; 3]>,
     /// Emitted radiance per world length and channel; empty when nothing glows.
     pub emission: Vec<[f32; 3]>,
+    /// The same for each gradient magnitude, where that matters: the columns above bound it then.
+    pub graded: Option<Graded>,
+    /// Whether samples take the mean over all values between those at the ends of their interval, as if the values in
+    /// between were there in even shares (pre-integration), instead of that in the middle.
+    pub preintegrated: bool,
+}
+
+/// Optical properties at a value and a gradient magnitude.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optics {
+    /// Extinction per world length.
+    pub extinction: f32,
+    /// Single-scattering albedo per channel.
+    pub albedo: [f32; 3],
+    /// Emitted radiance per world length and channel.
+    pub emission: [f32; 3],
+}
+
+impl Default for Table {
+    /// Nothing to see.
+    fn default() -> Self {
+        Table {
+            lo: 0.0,
+            hi: 1.0,
+            extinction: vec![0.0; Table::ENTRIES],
+            chromatic: [1.0; 3],
+            albedo: vec![[0.0; 3]; Table::ENTRIES],
+            emission: vec![],
+            graded: None,
+            preintegrated: false,
+        }
+    }
 }
 
 impl Table {
@@ -30,6 +64,39 @@ impl Table {
     /// `1/(hi − lo)`, 0 when the range is a point.
     pub fn scale(&self) -> f32 {
         if self.hi > self.lo { 1.0 / (self.hi - self.lo) } else { 0.0 }
+    }
+
+    /// Columns as kernels read them, row after row: extinction, albedo and emission.
+    pub fn columns(&self) -> (&[f32], &[[f32; 3]], &[[f32; 3]]) {
+        match &self.graded {
+            Some(graded) => (&graded.extinction, &graded.albedo, &graded.emission),
+            None => (&self.extinction, &self.albedo, &self.emission),
+        }
+    }
+
+    /// What a data value that is no hole looks like where its gradient has this magnitude (data values per world length; of
+    /// no account for one-dimensional tables).
+    pub fn look_up(&self, value: f32, gradient: f32) -> Optics {
+        let (extinction, albedo, emission) = self.columns();
+        let width = self.extinction.len();
+        let place = |at: f32, n: usize| {
+            let first = (at as usize).min(n.saturating_sub(2));
+            (first, (first + 1).min(n - 1), at - first as f32)
+        };
+        let (i, right, u) = place(self.normalise(value) * (width - 1) as f32, width);
+        let rows = extinction.len() / width;
+        let row = self.graded.as_ref().map_or(0.0, |g| (gradient * g.scale()).clamp(0.0, (rows - 1) as f32));
+        let (j, below, v) = place(row, rows);
+        let mix = |of: &dyn Fn(usize) -> f32| {
+            let along = |j: usize| of(j * width + i) * (1.0 - u) + of(j * width + right) * u;
+            let (a, b) = (along(j), along(below));
+            a + v * (b - a)
+        };
+        Optics {
+            extinction: mix(&|e| extinction[e]),
+            albedo: std::array::from_fn(|c| mix(&|e| albedo[e][c])),
+            emission: std::array::from_fn(|c| mix(&|e| emission.get(e).map_or(0.0, |v| v[c]))),
+        }
     }
 
     /// The extinction of a data value that is no hole, as kernels read it.
@@ -75,12 +142,13 @@ impl Table {
 
     /// The albedo, when it is the same for every value.
     pub fn constant_albedo(&self) -> Option<[f32; 3]> {
-        self.albedo.iter().all(|a| *a == self.albedo[0]).then(|| self.albedo[0])
+        let (_, albedo, _) = self.columns();
+        albedo.iter().all(|a| *a == albedo[0]).then(|| albedo[0])
     }
 
     /// True when extinction and albedo are the same in all channels for every value.
     pub fn gray(&self) -> bool {
-        self.chromatic == [1.0; 3] && self.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2])
+        self.chromatic == [1.0; 3] && self.columns().1.iter().all(|a| a[0] == a[1] && a[1] == a[2])
     }
 
     /// For each range of data values `[lo, hi]`, the largest extinction or emission (per world length, any channel) of any
@@ -139,7 +207,8 @@ mod tests {
         let entry = |seed: &u8| if *seed < 128 { 0.0 } else { f32::from(*seed) - 127.0 };
         let extinction: Vec<f32> = seeds.iter().map(entry).collect();
         let emission = seeds.iter().rev().map(|s| [0.0, if *s > 250 { 300.0 } else { 0.0 }, 0.0]).collect();
-        Table { lo, hi, chromatic: [1.0; 3], albedo: vec![[1.0; 3]; seeds.len()], extinction, emission }
+        let albedo = vec![[1.0; 3]; seeds.len()];
+        Table { lo, hi, albedo, extinction, emission, ..Default::default() }
     }
 
     /// What a kernel reads at a data value.

@@ -7,6 +7,7 @@ mod convection;
 mod light;
 mod march;
 mod session;
+mod slices;
 mod surface;
 mod volumes;
 
@@ -90,6 +91,7 @@ fn table() -> Table {
         extinction: (0..Table::ENTRIES).map(|i| 9.0 * at(i) * at(i)).collect(),
         albedo: (0..Table::ENTRIES).map(|i| [0.9, 0.5 + 0.4 * at(i), 0.8 - 0.3 * at(i)]).collect(),
         emission: (0..Table::ENTRIES).map(|i| [at(i), 0.0, 0.5 * at(i)]).collect(),
+        ..Default::default()
     }
 }
 

@@ -44,7 +44,18 @@ fn picture(d: &dyn Device, camera: &Camera, weights: &[(Weight, bool)], phong: O
         let table = table();
         let grid = &grid;
         d.march(
-            &March { grid, field: &field, table: &table, bricks, majorant, terms: &terms, phong, camera, step: 0.011 },
+            &March {
+                grid,
+                field: &field,
+                gradient: None,
+                table: &table,
+                bricks,
+                majorant,
+                terms: &terms,
+                phong,
+                camera,
+                step: 0.011,
+            },
             &mut frame,
         )
         .unwrap();
@@ -109,6 +120,7 @@ fn listed_tiles_are_those_of_the_whole_picture() {
         let march = March {
             grid: &grid,
             field: &field,
+            gradient: None,
             table: &table,
             bricks: BrickLayout::new(ODD, 8),
             majorant: &[],

@@ -17,6 +17,36 @@ pub(crate) fn classify(optic: Optic, table: &Table, data: &Slab, field: &[f32], 
     mean(data, light, out, |row, values| look_up(&field[row * nx..][..nx], &curve, lo, scale, values));
 }
 
+/// reads data values and their gradient magnitudes → writes a property of a two-dimensional table.
+pub(crate) fn classify_graded(
+    optic: Optic,
+    table: &Table,
+    data: &Slab,
+    [field, gradient]: [&[f32]; 2],
+    light: &Slab,
+    out: &mut [f32],
+) {
+    let curve = optic.curve(table);
+    let (lo, scale) = (table.lo, table.scale());
+    let steep = table.graded.as_ref().map_or(0.0, |graded| graded.scale());
+    let nx = data.size[0];
+    mean(data, light, out, |row, out| {
+        let values = field[row * nx..][..nx].iter().zip(&gradient[row * nx..][..nx]);
+        for (o, (&v, &g)) in out.iter_mut().zip(values) {
+            let t = ((v - lo) * scale).clamp(0.0, 1.0) * (Table::ENTRIES - 1) as f32;
+            let i = (t as usize).min(Table::ENTRIES - 2);
+            let r = (g * steep).clamp(0.0, (curve.len() / Table::ENTRIES - 1) as f32);
+            let j = (r as usize).min(curve.len() / Table::ENTRIES - 2);
+            let along = |j: usize| {
+                let row = &curve[j * Table::ENTRIES + i..];
+                row[0] + (t - i as f32) * (row[1] - row[0])
+            };
+            let (a, b) = (along(j), along(j + 1));
+            *o = if v < HOLE { 0.0 } else { a + (r - j as f32) * (b - a) };
+        }
+    });
+}
+
 /// reads values → writes their mean on a coarser (or equal) grid of the same box.
 pub(crate) fn restrict(fine: &Slab, values: &[f32], coarse: &Slab, out: &mut [f32]) {
     let nx = fine.size[0];

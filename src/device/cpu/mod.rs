@@ -3,6 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers};
+use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
     Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
@@ -22,11 +23,13 @@ mod diffuse;
 pub(crate) mod extend;
 pub mod float;
 mod fronts;
+pub(crate) mod gradient;
 mod irradiate;
 pub mod march;
 mod relax;
 mod shared;
 pub mod simd;
+pub mod slices;
 mod source;
 mod surface;
 pub(crate) mod sweep;
@@ -287,6 +290,31 @@ impl Device for Cpu {
 
     fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
         self.pool.install(|| march::march_tiles(march, tiles, frame));
+        Ok(())
+    }
+
+    fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
+        self.pool.install(|| slices::slice(slices, rays));
+        Ok(())
+    }
+
+    fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| gradient::gradient(grid, host(field), host_mut(out)));
+        Ok(())
+    }
+
+    fn classify_graded(
+        &self,
+        optic: Optic,
+        table: &Table,
+        (data, field, gradient): ([usize; 3], &Buffer, &Buffer),
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        let (data, light) = (Slab::whole(data), Slab::whole(size));
+        self.pool.install(|| {
+            classify::classify_graded(optic, table, &data, [host(field), host(gradient)], &light, host_mut(out));
+        });
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use glam::UVec3;
 use super::shader::{CLASSIFY, RESTRICT};
 use super::{Gpu, holds, uvec3};
 use crate::device::{Buffer, Optic};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::grid::Slab;
 use crate::transfer::Table;
 
@@ -20,6 +20,8 @@ pub(super) struct Classify {
     above: u32,
     first: u32,
     planes: u32,
+    rows: u32,
+    steep: f32,
 }
 
 #[derive(ShaderType)]
@@ -46,7 +48,7 @@ pub(super) fn classify(
     optic: Optic,
     table: &Table,
     data: &Slab,
-    field: &Buffer,
+    (field, gradient): (&Buffer, Option<&Buffer>),
     light: &Slab,
     out: &mut Buffer,
 ) -> Result<()> {
@@ -57,17 +59,26 @@ pub(super) fn classify(
         lo: table.lo,
         size: uvec3(light.size),
         scale: table.scale(),
-        entries: curve.len() as u32,
+        entries: table.extinction.len() as u32,
         above: data.planes.start as u32,
         first: light.planes.start as u32,
         planes: light.planes.len() as u32,
+        rows: (curve.len() / table.extinction.len()) as u32,
+        steep: table.graded.as_ref().map_or(0.0, |graded| graded.scale()),
     };
-    gpu.run(
+    let gradient = match (&table.graded, gradient) {
+        (Some(_), Some(gradient)) => holds(gradient, data.len())?.clone(),
+        (Some(_), None) => return Err(Error::Device("a two-dimensional table without gradients".into())),
+        (None, _) => gpu.scratch(1)?,
+    };
+    gpu.run_with(
         &CLASSIFY,
         "classify",
+        &[("GRADED", f64::from(table.graded.is_some()))],
         &[
             ("params", &gpu.uniform(&params)?),
             ("field", holds(field, data.len())?),
+            ("gradient", &gradient),
             ("table", &gpu.storage(&curve)?),
             ("out", holds(out, light.len())?),
         ],

@@ -5,6 +5,7 @@ use std::ops::Range;
 use encase::ShaderType;
 use glam::{DVec3, UVec2, UVec3, Vec3};
 
+use super::matter::Matter;
 use super::shader::MARCH;
 use super::{Gpu, holds, uvec3};
 use crate::device::{Falloff, March, Part, Ray, Term, Weight};
@@ -31,6 +32,8 @@ pub(super) struct Params {
     scale: f32,
     up: Vec3,
     entries: u32,
+    rows: u32,
+    steep: f32,
     per_world: Vec3,
     spacing: f32,
     towards_light: Vec3,
@@ -42,13 +45,6 @@ pub(super) struct Params {
     picture: UVec2,
     held: UVec2,
     cells: UVec2,
-}
-
-#[derive(ShaderType)]
-struct Optics {
-    albedo: Vec3,
-    extinction: f32,
-    emission: Vec3,
 }
 
 #[derive(ShaderType)]
@@ -106,39 +102,33 @@ pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize;
     let (lo, hi) = grid.bounds();
     let samples = (hi - lo).length() / f64::from(march.step);
     gpu.rounds(samples * (march.terms.len().max(SLOTS) - SLOTS + 1) as f64, "a ray of so small a step")?;
-    let optics: Vec<Optics> = (0..table.extinction.len())
-        .map(|i| Optics {
-            albedo: table.albedo[i].into(),
-            extinction: table.extinction[i],
-            emission: table.emission.get(i).copied().unwrap_or_default().into(),
-        })
-        .collect();
+    let matter = Matter::new(gpu, table, march.gradient, planes(grid, &part.field))?;
     let (terms, buffers) = place(gpu, march.terms, &part.terms, grid)?;
-    let params = params(march, part, picture, optics.len());
+    let params = params(march, part, picture, &matter);
     let carried = gpu.storage(bytemuck::cast_slice::<Ray, f32>(rays))?;
 
     let params = gpu.uniform(&params)?;
-    let table = gpu.structures(&optics)?;
     let terms = gpu.structures(&terms)?;
     let majorant = gpu.storage(march.majorant)?;
     let unused = gpu.scratch(1)?;
     let mut bindings = vec![
         ("params", &params),
         ("field", holds(march.field, planes(grid, &part.field))?),
-        ("table", &table),
+        ("table", &matter.table),
+        ("sums", &matter.sums),
+        ("gradient", &matter.gradient),
         ("majorant", &majorant),
         ("terms", &terms),
         ("rays", &carried),
     ];
     bindings.extend(LIGHTS.iter().enumerate().map(|(i, name)| (*name, buffers.get(i).unwrap_or(&unused))));
-    let parts = [
+    let mut parts = vec![
         ("TERMS", march.terms.len() as f64),
         ("SKIP", f64::from(!march.majorant.is_empty())),
         ("SHADE", f64::from(march.phong.is_some())),
-        ("CHROMATIC", f64::from(march.table.chromatic != [1.0; 3])),
         ("LAMPS", f64::from(march.terms.iter().any(|t| matches!(t.weight, Weight::Lamp { .. })))),
-        ("GLOW", f64::from(march.table.emission.as_flattened().iter().any(|e| *e != 0.0))),
     ];
+    parts.extend(matter.parts());
     gpu.run_with(&MARCH, "march", &parts, &bindings, [picture[0].div_ceil(8), picture[1].div_ceil(8), 1])?;
     gpu.read(&carried, bytemuck::cast_slice_mut(rays))
 }
@@ -153,7 +143,7 @@ fn ends(held: &Range<usize>) -> UVec2 {
     UVec2::new(held.start as u32, held.end as u32 - 1)
 }
 
-fn params(march: &March, part: &Part, picture: [usize; 2], entries: usize) -> Params {
+fn params(march: &March, part: &Part, picture: [usize; 2], matter: &Matter) -> Params {
     let (grid, camera) = (march.grid, march.camera);
     let spacing = DVec3::from(grid.spacing);
     let (lo, hi) = grid.bounds();
@@ -169,7 +159,9 @@ fn params(march: &March, part: &Part, picture: [usize; 2], entries: usize) -> Pa
         right: camera.tan * aspect * camera.right,
         scale: march.table.scale(),
         up: camera.tan * camera.up,
-        entries: entries as u32,
+        entries: matter.entries,
+        rows: matter.rows,
+        steep: matter.steep,
         per_world: (1.0 / spacing).as_vec3(),
         spacing: grid.mean_spacing() as f32,
         towards_light: phong.map_or(Vec3::ZERO, |p| p.towards_light),

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
 
 use crate::device::convection::{Convected, Convection, Layers};
+use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
     Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
@@ -24,10 +25,13 @@ mod convect;
 mod diffuse;
 mod extend;
 mod fronts;
+mod gradient;
 mod irradiate;
 mod march;
+mod matter;
 mod relax;
 pub mod shader;
+mod slices;
 mod source;
 mod surface;
 mod sweep;
@@ -362,7 +366,7 @@ impl Device for Gpu {
         light: &Slab,
         out: &mut Buffer,
     ) -> Result<()> {
-        classify::classify(self, optic, table, data, field, light, out)
+        classify::classify(self, optic, table, data, (field, None), light, out)
     }
 
     fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
@@ -502,6 +506,26 @@ impl Device for Gpu {
 
     fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
         march::march_tiles(self, march, tiles, frame)
+    }
+
+    fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
+        slices::slice(self, slices, rays)
+    }
+
+    fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()> {
+        gradient::gradient(self, grid, field, out)
+    }
+
+    fn classify_graded(
+        &self,
+        optic: Optic,
+        table: &Table,
+        (data, field, gradient): ([usize; 3], &Buffer, &Buffer),
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        let (data, light) = (Slab::whole(data), Slab::whole(size));
+        classify::classify(self, optic, table, &data, (field, Some(gradient)), &light, out)
     }
 
     fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {

@@ -10,7 +10,8 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, diffuse, extend, irradiate, march, relax, source, surface, sweep, sweep_point, transport,
+    bricks, classify, convect, diffuse, extend, gradient, irradiate, march, relax, slices, source, surface, sweep,
+    sweep_point, transport,
 };
 use crate::error::{Error, Result};
 
@@ -75,7 +76,11 @@ pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params
 /// See `shaders/compose.wgsl`.
 pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/march.wgsl`.
-pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp"], size_of::<march::Params>());
+pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp", "matter"], size_of::<march::Params>());
+/// See `shaders/gradient.wgsl`.
+pub static GRADIENT: Shader = shader!("gradient", ["grid", "table"], size_of::<gradient::Params>());
+/// See `shaders/slice.wgsl`.
+pub static SLICE: Shader = shader!("slice", ["grid", "table", "lamp", "matter"], size_of::<slices::Params>());
 
 /// See `shaders/surface_hits.wgsl`.
 pub static SURFACE_HITS: Shader =
@@ -110,6 +115,8 @@ pub fn shaders() -> Vec<&'static Shader> {
         &EXTEND,
         &COMPOSE,
         &MARCH,
+        &GRADIENT,
+        &SLICE,
         &SURFACE_HITS,
         &SURFACE_OCCLUSION,
         &SURFACE_BEAUTY,

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::device::convection::{Convected, Convection, Layers};
+use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
     Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport, cpu,
@@ -522,11 +523,44 @@ impl Device for Paged {
     }
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
+        if march.table.preintegrated {
+            return Err(Error::Unsupported(
+                "transfer.preintegrated with volumes larger than memory\n  try: a larger --memory, or a smaller render.step"
+                    .into(),
+            ));
+        }
         self.march_slabs(march, frame)
     }
 
     fn march_slab(&self, _: &March, _: &Part, _: [usize; 2], _: &mut [Ray]) -> Result<()> {
         Err(Error::Unsupported("a slab of volumes that are cut into slabs already".into()))
+    }
+
+    fn gradient(&self, _: &Grid, _: &Buffer, _: &mut Buffer) -> Result<()> {
+        Err(two_dimensional())
+    }
+
+    fn classify_graded(
+        &self,
+        _: Optic,
+        _: &Table,
+        _: ([usize; 3], &Buffer, &Buffer),
+        _: [usize; 3],
+        _: &mut Buffer,
+    ) -> Result<()> {
+        Err(two_dimensional())
+    }
+
+    /// Slices lie across all planes of the data: these must fit.
+    fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
+        match self.near(slices.field) {
+            Ok(field) => self.inner.slice(&Slices { field, ..*slices }, rays),
+            Err(Error::OutOfMemory { needed, budget }) => Err(Error::Unsupported(format!(
+                "render.kind = \"slices\" of volumes larger than memory: {needed} bytes, --memory allows {budget}\n  \
+                 try: a larger --memory, or render.kind = \"raycast\""
+            ))),
+            Err(other) => Err(other),
+        }
     }
 
     fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
@@ -572,6 +606,11 @@ impl Device for Paged {
         let term = Term { values: self.near(term.values)?, ..*term };
         self.within(surfaces, |s| self.inner.surface_light(s, &term, hits, sums))
     }
+}
+/// Gradients reach beyond the slabs that are held.
+fn two_dimensional() -> Error {
+    let what = "transfer.regions and transfer.painting with volumes larger than memory";
+    Error::Unsupported(format!("{what}\n  try: a larger --memory, or transfer.opacity alone"))
 }
 
 impl Paged {

@@ -4,7 +4,7 @@ use crate::grid::BrickLayout;
 
 /// For each brick, the Chebyshev distance in bricks to the nearest brick in which something can be seen: 0 in such a brick;
 /// `d > 0` says that the cube of bricks closer than `d` is empty.
-pub(super) struct Distances {
+pub(in crate::device::cpu) struct Distances {
     /// `(z, y, x)`, like the bricks.
     pub values: Vec<f32>,
     /// Bricks from one row, and from one slice, to the next.

@@ -5,7 +5,7 @@
 use glam::Vec3;
 
 use super::lanes::{Lanes, opacity};
-use super::plan::{Albedo, Column, Group, Lattice, Optics, Plan, Volume};
+use super::plan::{Albedo, Column, Group, Lattice, Matter, Optics, Plan, Summed, Volume};
 use crate::device::{Falloff, March, Phong, Ray, Weight};
 
 /// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
@@ -38,10 +38,12 @@ macro_rules! three {
     };
 }
 
+pub(in crate::device::cpu) use three;
+
 /// Carries the rays of the tile whose first pixel is `first` on.
 #[inline(always)]
 pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
-    assert!(plan.reach <= V::REACH, "indices must fit");
+    assert!(plan.matter.reach <= V::REACH, "indices must fit");
     let [w, h] = V::SHAPE;
     let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
     let mut lanes = [[0.0; 16]; 7];
@@ -72,12 +74,12 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
 }
 
 #[inline(always)]
-fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
+pub(in crate::device::cpu) fn dot<V: Lanes>(a: [V; 3], b: Vec3) -> V {
     a[0] * V::splat(b.x) + a[1] * V::splat(b.y) + a[2] * V::splat(b.z)
 }
 
 #[inline(always)]
-fn dots<V: Lanes>(a: [V; 3], b: [V; 3]) -> V {
+pub(in crate::device::cpu) fn dots<V: Lanes>(a: [V; 3], b: [V; 3]) -> V {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
@@ -112,14 +114,14 @@ impl<V: Lanes> Rays<V> {
             three!(a => V::splat(plan.forward[a]) + px * V::splat(plan.right[a]) - py * V::splat(plan.up[a]));
         let norm = dots(way, way).sqrt();
         let direction = three!(a => way[a] / norm);
-        let slope = three!(a => direction[a] * V::splat(plan.per_length[a]));
+        let slope = three!(a => direction[a] * V::splat(plan.matter.per_length[a]));
 
         // Slabs. A component of nearly 0 counts as barely positive: neither 0/0 nor ∞·0 can arise.
         let (mut near, mut far) = (V::splat(0.0), V::splat(f32::MAX));
         for (a, &slope) in slope.iter().enumerate() {
             let inverse = V::splat(1.0) / Self::nonzero(slope);
             let below = (V::splat(-0.5) - V::splat(plan.eye[a])) * inverse;
-            let above = (V::splat(plan.top[a]) - V::splat(plan.eye[a])) * inverse;
+            let above = (V::splat(plan.matter.top[a]) - V::splat(plan.eye[a])) * inverse;
             near = below.min(above).max(near);
             far = below.max(above).min(far);
         }
@@ -148,7 +150,7 @@ impl<V: Lanes> Rays<V> {
 }
 
 /// Where a position lies between values: index of the lower corner, weights of the upper and of the lower neighbours.
-struct Cell<V: Lanes> {
+pub(in crate::device::cpu) struct Cell<V: Lanes> {
     first: V::Int,
     upper: [V; 3],
     lower: [V; 3],
@@ -156,7 +158,7 @@ struct Cell<V: Lanes> {
 
 impl<V: Lanes> Cell<V> {
     #[inline(always)]
-    fn new(lattice: &Lattice, position: [V; 3]) -> Self {
+    pub fn new(lattice: &Lattice, position: [V; 3]) -> Self {
         // `max` first: it turns a NaN into a number, so that indices stay inside whatever comes.
         let clamped = three!(a => position[a].max(V::splat(lattice.first[a])).min(V::splat(lattice.last[a])));
         let corner = three!(a => clamped[a].min(V::splat(lattice.last_cell[a])).trunc());
@@ -172,7 +174,7 @@ impl<V: Lanes> Cell<V> {
 
     /// Trilinear interpolation.
     #[inline(always)]
-    fn value(&self, lattice: &Lattice, volume: &Volume) -> V {
+    pub fn value(&self, lattice: &Lattice, volume: &Volume) -> V {
         let p = volume.origin();
         let [y, z, yz] = lattice.corners;
         // SAFETY: a cell's lower corner is first..=last_cell along each axis, so that the corners' offsets (0 along an axis
@@ -191,47 +193,163 @@ impl<V: Lanes> Cell<V> {
     }
 }
 
-/// Where a value lies between entries of the table.
+/// Where a value lies between entries of the table, and between its rows where it has more than one.
 struct Entry<V: Lanes> {
     first: V::Int,
     upper: V,
     lower: V,
+    /// Width of a row, and the weight of the next one.
+    row: Option<(usize, V)>,
 }
 
 impl<V: Lanes> Entry<V> {
     #[inline(always)]
-    fn new(optics: &Optics, value: V) -> Self {
+    fn new(optics: &Optics, value: V, gradient: Option<V>) -> Self {
         let at = ((value - V::splat(optics.lo)) * V::splat(optics.scale)).max(V::splat(0.0)).min(V::splat(optics.last));
         let first = at.min(V::splat(optics.last - 1.0)).trunc();
         let upper = at - V::float(first);
-        Entry { first, upper, lower: V::splat(1.0) - upper }
+        let lower = V::splat(1.0) - upper;
+        let (Some(rows), Some(gradient)) = (&optics.rows, gradient) else {
+            return Entry { first, upper, lower, row: None };
+        };
+        let at = (gradient * V::splat(rows.scale)).max(V::splat(0.0)).min(V::splat(rows.last));
+        let row = at.min(V::splat(rows.last - 1.0)).trunc();
+        let none = V::splat(0.0).trunc();
+        let weight = at - V::float(row);
+        Entry { first: V::linear([first, row, none], [rows.width, 0]), upper, lower, row: Some((rows.width, weight)) }
     }
 
     #[inline(always)]
     fn of(&self, column: &Column) -> V {
-        // SAFETY: `first` is at most the last entry but one, and all columns have the same length, at least 2.
+        // SAFETY: `first` is at most the last entry but one of a row, and all columns have the same length, at least 2.
         let (a, b) = unsafe { V::pairs(column.as_ptr(), self.first) };
-        a * self.lower + b * self.upper
+        let value = a * self.lower + b * self.upper;
+        let Some((width, weight)) = self.row else { return value };
+        // SAFETY: `first` is at most in the last row but one.
+        let (a, b) = unsafe { V::pairs(column.as_ptr().wrapping_add(width), self.first) };
+        // Exact where both rows are the same.
+        value + weight * ((a * self.lower + b * self.upper) - value)
     }
 }
 
-/// Data value → extinction; 0 in holes.
+/// One end of an interval of values, and how far it is beyond the table, in entries.
+struct End<V: Lanes> {
+    at: Entry<V>,
+    beyond: V,
+}
+
+impl<V: Lanes> End<V> {
+    #[inline(always)]
+    fn new(optics: &Optics, value: V) -> Self {
+        let exact = (value - V::splat(optics.lo)) * V::splat(optics.scale);
+        let beyond = exact - exact.max(V::splat(0.0)).min(V::splat(optics.last));
+        End { at: Entry::new(optics, value, None), beyond }
+    }
+
+    /// The integral of a column up to here.
+    #[inline(always)]
+    fn of(&self, column: &Summed) -> V {
+        // SAFETY: as of `Entry::of`; sums have the length of their column.
+        let ((a, b), (sum, _)) =
+            unsafe { (V::pairs(column.values.as_ptr(), self.at.first), V::pairs(column.sums.as_ptr(), self.at.first)) };
+        let value = a * self.at.lower + b * self.at.upper;
+        sum + V::splat(0.5) * (a + value) * self.at.upper + self.beyond * value
+    }
+}
+
+/// What a sample looks up: its value, or all values between those at the ends of its interval.
+pub(in crate::device::cpu) struct Sample<V: Lanes> {
+    /// False in holes.
+    pub there: V::Mask,
+    entry: Entry<V>,
+    between: Option<([End<V>; 2], V, V::Mask)>,
+}
+
+impl<V: Lanes> Sample<V> {
+    /// Of the interval `half` to both sides of `position`, which lies in `cell`.
+    #[inline(always)]
+    pub fn new(matter: &Matter, position: [V; 3], half: [V; 3], cell: &Cell<V>) -> Self {
+        let hole = V::splat(crate::field::HOLE);
+        let optics = &matter.optics;
+        let value = cell.value(&matter.lattice, &matter.data);
+        let gradient = matter.gradient.as_ref().map(|gradient| cell.value(&matter.lattice, gradient));
+        let entry = Entry::new(optics, value, gradient);
+        let mut between = None;
+        if optics.means.is_some() {
+            // The edge of a hole is as far as values go.
+            let before = three!(a => position[a] - half[a]);
+            let found = Cell::new(&matter.lattice, before).value(&matter.lattice, &matter.data);
+            let a = V::select(hole.lt(found), found, value);
+            let after = three!(a => position[a] + half[a]);
+            let found = Cell::new(&matter.lattice, after).value(&matter.lattice, &matter.data);
+            let b = V::select(hole.lt(found), found, value);
+            let entries = (b.max(a) - a.min(b)) * V::splat(optics.scale);
+            let (low, high) = (End::new(optics, a.min(b)), End::new(optics, a.max(b)));
+            // Within one entry's width the middle is the mean, and differences of integrals are rounding.
+            let wide = V::splat(1.0).lt(entries);
+            between = Some(([low, high], V::splat(1.0) / entries.max(V::splat(1.0)), wide));
+        }
+        Sample { there: hole.lt(value), entry, between }
+    }
+
+    #[inline(always)]
+    fn mean(&self, plain: V, column: Option<&Summed>) -> V {
+        let (Some(([low, high], inverse, wide)), Some(column)) = (&self.between, column) else { return plain };
+        let mean = ((high.of(column) - low.of(column)) * *inverse).max(V::splat(0.0));
+        V::select(*wide, mean, plain)
+    }
+
+    /// Extinction; 0 in holes.
+    #[inline(always)]
+    pub fn extinction(&self, optics: &Optics) -> V {
+        let sigma = self.mean(self.entry.of(&optics.extinction), optics.means.as_ref().map(|m| &m.extinction));
+        V::select(self.there, sigma, V::splat(0.0))
+    }
+
+    /// Albedo where extinction is `sigma`: the mean weighted by it.
+    #[inline(always)]
+    pub fn albedo(&self, optics: &Optics, sigma: V) -> [V; 3] {
+        let plain = match &optics.albedo {
+            Albedo::Constant(albedo) => return three!(c => V::splat(albedo[c])),
+            Albedo::Gray(column) => [self.entry.of(column); 3],
+            Albedo::Rgb(columns) => three!(c => self.entry.of(&columns[c])),
+        };
+        let (Some(means), Some((_, _, wide))) = (&optics.means, &self.between) else { return plain };
+        let zero = V::splat(0.0);
+        three!(c => {
+            let scattering = self.mean(zero, Some(&means.scattering[c]));
+            V::select(*wide, (scattering / sigma.max(V::splat(1e-30))).min(V::splat(1.0)), plain[c])
+        })
+    }
+
+    /// Emission of a channel.
+    #[inline(always)]
+    pub fn emission(&self, optics: &Optics, columns: &[Column; 3], c: usize) -> V {
+        let sums = optics.means.as_ref().and_then(|m| m.emission.as_ref());
+        self.mean(self.entry.of(&columns[c]), sums.map(|s| &s[c]))
+    }
+}
+
+/// Extinction at a position; 0 in holes.
 #[inline(always)]
-fn extinction<V: Lanes>(optics: &Optics, value: V) -> V {
-    let sigma = Entry::new(optics, value).of(&optics.extinction);
+fn extinction<V: Lanes>(matter: &Matter, position: [V; 3]) -> V {
+    let cell = Cell::new(&matter.lattice, position);
+    let value = cell.value(&matter.lattice, &matter.data);
+    let gradient = matter.gradient.as_ref().map(|gradient| cell.value(&matter.lattice, gradient));
+    let sigma = Entry::new(&matter.optics, value, gradient).of(&matter.optics.extinction);
     V::select(value.lt(V::splat(crate::field::HOLE)), V::splat(0.0), sigma)
 }
 
 /// Henyey–Greenstein: (1 − g²) / (4π (1 + g² − 2g cos θ)^1.5).
 #[inline(always)]
-fn phase<V: Lanes>(g: f32, cos: V) -> V {
+pub(in crate::device::cpu) fn phase<V: Lanes>(g: f32, cos: V) -> V {
     let s = (V::splat(1.0 + g * g) - V::splat(2.0 * g) * cos).max(V::splat(1e-12));
     V::splat((1.0 - g * g) / (4.0 * std::f32::consts::PI)) / (s * s.sqrt())
 }
 
 /// Weight of a lamp at a position: falloff times phase function, per unit of intensity.
 #[inline(always)]
-fn lamp<V: Lanes>(falloff: &Falloff, g: f32, direction: [V; 3], position: [V; 3]) -> V {
+pub(in crate::device::cpu) fn lamp<V: Lanes>(falloff: &Falloff, g: f32, direction: [V; 3], position: [V; 3]) -> V {
     let way: [V; 3] = three!(a => (position[a] - V::splat(falloff.position[a])) * V::splat(falloff.spacing[a]));
     let square = dots(way, way);
     let r = square.max(V::splat(1e-30)).sqrt();
@@ -245,7 +363,7 @@ fn lamp<V: Lanes>(falloff: &Falloff, g: f32, direction: [V; 3], position: [V; 3]
 
 /// Weight of a term for each ray and channel.
 #[inline(always)]
-fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
+pub(in crate::device::cpu) fn weight<V: Lanes>(weight: &Weight, direction: [V; 3]) -> [V; 3] {
     match *weight {
         Weight::Uniform(rgb) => three!(c => V::splat(rgb[c])),
         Weight::Phase { direction: travel, irradiance, g } => {
@@ -296,17 +414,23 @@ fn in_scatter<V: Lanes>(
 
 /// Extinction at `position` moved along an axis.
 #[inline(always)]
-fn beside<V: Lanes>(plan: &Plan, mut position: [V; 3], axis: usize, offset: f32) -> V {
+fn beside<V: Lanes>(matter: &Matter, mut position: [V; 3], axis: usize, offset: f32) -> V {
     position[axis] = position[axis] + V::splat(offset);
-    extinction(&plan.optics, Cell::new(&plan.lattice, position).value(&plan.lattice, &plan.data))
+    extinction(matter, position)
 }
 
 /// Factor on in-scattered radiance: see [`Phong`].
 #[inline(always)]
-fn shade<V: Lanes>(plan: &Plan, phong: &Phong, direction: [V; 3], position: [V; 3], sigma: V) -> V {
+pub(in crate::device::cpu) fn shade<V: Lanes>(
+    matter: &Matter,
+    phong: &Phong,
+    direction: [V; 3],
+    position: [V; 3],
+    sigma: V,
+) -> V {
     let gradient = three!(a => {
-        let difference = beside(plan, position, a, 1.0) - beside(plan, position, a, -1.0);
-        difference * V::splat(0.5 * plan.per_length[a])
+        let difference = beside(matter, position, a, 1.0) - beside(matter, position, a, -1.0);
+        difference * V::splat(0.5 * matter.per_length[a])
     });
     let steepness = dots(gradient, gradient).sqrt();
     let per_steepness = V::splat(-1.0) / steepness.max(V::splat(1e-20));
@@ -322,7 +446,7 @@ fn shade<V: Lanes>(plan: &Plan, phong: &Phong, direction: [V; 3], position: [V; 
     let highlight = V::from_fn(|l| highlight[l].powf(phong.shininess));
 
     let lit = V::splat(phong.ambient) + V::splat(phong.diffuse) * lambert + V::splat(phong.specular) * highlight;
-    let edge = steepness * V::splat(plan.spacing);
+    let edge = steepness * V::splat(matter.spacing);
     let gate = edge / (edge + sigma).max(V::splat(1e-20));
     V::splat(1.0) + gate * (lit - V::splat(1.0))
 }
@@ -330,14 +454,14 @@ fn shade<V: Lanes>(plan: &Plan, phong: &Phong, direction: [V; 3], position: [V; 
 /// First sample at or after `n` that may see something; beyond the end of the ray if there is none.
 #[inline(always)]
 fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
-    let Some(empty) = &plan.empty else { return n };
+    let Some(empty) = &plan.matter.empty else { return n };
     let per_step = V::splat(1.0 / plan.step);
     let beyond = rays.length * per_step + V::splat(2.0);
     loop {
         let (position, ds) = rays.sample(n);
         // The brick of the cell that the sample reads, so that rounding cannot put a sample into the wrong brick.
         let brick = three!(a => {
-            let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.last_cell[a])).trunc();
+            let cell = position[a].max(V::splat(0.0)).min(V::splat(plan.matter.last_cell[a])).trunc();
             ((V::float(cell) + V::splat(0.5)) * V::splat(empty.per_edge)).trunc()
         });
         // SAFETY: cells are inside the grid, so their bricks are inside the layout.
@@ -365,7 +489,7 @@ fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
 /// The samples whose cells lie in a window.
 #[inline(always)]
 fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> V::Mask {
-    let cell = V::float(position[2].max(V::splat(0.0)).min(V::splat(plan.last_cell[2])).trunc());
+    let cell = V::float(position[2].max(V::splat(0.0)).min(V::splat(plan.matter.last_cell[2])).trunc());
     V::splat(above).lt(cell) & cell.lt(V::splat(below))
 }
 
@@ -396,7 +520,7 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
         *lanes = weight(&of.weight, rays.direction);
     }
 
-    let optics = &plan.optics;
+    let optics = &plan.matter.optics;
     loop {
         n = skip(plan, &rays, n, live);
         live = live & zero.lt(rays.length - n * rays.step);
@@ -414,11 +538,11 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
                 }
             }
             n = n + one;
-            let cell = Cell::new(&plan.lattice, position);
-            let value = cell.value(&plan.lattice, &plan.data);
-            let entry = Entry::new(optics, value);
-            let inside = live & zero.lt(ds) & V::splat(crate::field::HOLE).lt(value);
-            let sigma = V::select(inside, entry.of(&optics.extinction), zero);
+            let cell = Cell::new(&plan.matter.lattice, position);
+            let half = ds * V::splat(0.5);
+            let sample = Sample::new(&plan.matter, position, three!(a => half * rays.slope[a]), &cell);
+            let inside = live & zero.lt(ds) & sample.there;
+            let sigma = V::select(inside, sample.extinction(optics), zero);
             let seen = zero.lt(sigma);
             if !V::any(seen) && optics.emission.is_none() {
                 continue;
@@ -432,17 +556,11 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
             if V::any(seen) {
                 let mut source = in_scatter(&plan.groups, weights, rays.direction, position, &cell);
                 if let Some(phong) = &plan.phong {
-                    let factor = shade(plan, phong, rays.direction, position, sigma);
+                    let factor = shade(&plan.matter, phong, rays.direction, position, sigma);
                     source = three!(c => source[c] * factor);
                 }
-                let scattered = match &optics.albedo {
-                    Albedo::Constant(albedo) => three!(c => source[c] * V::splat(albedo[c])),
-                    Albedo::Gray(column) => {
-                        let albedo = entry.of(column);
-                        three!(c => source[c] * albedo)
-                    }
-                    Albedo::Rgb(columns) => three!(c => source[c] * entry.of(&columns[c])),
-                };
+                let albedo = sample.albedo(optics, sigma);
+                let scattered = three!(c => source[c] * albedo[c]);
                 radiance = three!(c => radiance[c] + shares[c] * scattered[c]);
             }
             if let Some(emission) = &optics.emission {
@@ -458,7 +576,7 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: 
                         V::select(V::splat(1e-20).lt(dims * ds), shares[c] / dims, through[c] * clear)
                     }),
                 };
-                radiance = three!(c => radiance[c] + glow[c] * entry.of(&emission[c]));
+                radiance = three!(c => radiance[c] + glow[c] * sample.emission(optics, emission, c));
             }
             if optics.chromatic.is_some() {
                 through = three!(c => through[c] - shares[c]);

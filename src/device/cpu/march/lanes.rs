@@ -10,7 +10,7 @@ use std::ops::{Add, BitAnd, Div, Mul, Sub};
 /// # Safety
 /// Implementations for an instruction set use it without asking: they may be instantiated only in code that is compiled
 /// for it and runs only where the processor has it.
-pub(super) unsafe trait Lanes:
+pub(in crate::device::cpu) unsafe trait Lanes:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
     /// Comparison result.
@@ -59,7 +59,7 @@ pub(super) unsafe trait Lanes:
 /// `1 − e^(−τ)` for τ ≥ 0, accurate to a few units in the last place for small τ too: Cephes' polynomial without its leading
 /// 1, range reduced by ln 2 in two parts. 1 above 87.
 #[inline(always)]
-pub(super) fn opacity<V: Lanes>(tau: V) -> V {
+pub(in crate::device::cpu) fn opacity<V: Lanes>(tau: V) -> V {
     let c = |v: f32| V::splat(v);
     let round = c(12_582_912.0); // 1.5·2²³: adding it rounds to an integer
     let x = c(0.0) - tau.min(c(87.0));
@@ -76,10 +76,10 @@ pub(super) fn opacity<V: Lanes>(tau: V) -> V {
 
 /// Plain arrays: any machine, and with one lane the scalar twin.
 #[derive(Clone, Copy)]
-pub(super) struct Array<const N: usize>([f32; N]);
+pub(in crate::device::cpu) struct Array<const N: usize>([f32; N]);
 
 #[derive(Clone, Copy)]
-pub(super) struct Flags<const N: usize>([bool; N]);
+pub(in crate::device::cpu) struct Flags<const N: usize>([bool; N]);
 
 /// `[f(0), …, f(N − 1)]` without a closure, which would be compiled without the caller's instruction set and might stay a call.
 macro_rules! each {
@@ -218,7 +218,7 @@ mod x86 {
 
     /// 16 lanes of AVX-512.
     #[derive(Clone, Copy)]
-    pub(in super::super) struct Avx512(__m512);
+    pub(in crate::device::cpu) struct Avx512(__m512);
 
     operator!(Avx512: Add add _mm512_add_ps, Sub sub _mm512_sub_ps, Mul mul _mm512_mul_ps, Div div _mm512_div_ps);
 
@@ -325,9 +325,9 @@ mod x86 {
 
     /// 8 lanes of AVX2.
     #[derive(Clone, Copy)]
-    pub(in super::super) struct Avx2(__m256);
+    pub(in crate::device::cpu) struct Avx2(__m256);
     #[derive(Clone, Copy)]
-    pub(in super::super) struct Avx2Mask(__m256);
+    pub(in crate::device::cpu) struct Avx2Mask(__m256);
 
     impl BitAnd for Avx2Mask {
         type Output = Self;
@@ -445,7 +445,7 @@ mod x86 {
     }
 }
 #[cfg(target_arch = "x86_64")]
-pub(super) use x86::{Avx2, Avx512};
+pub(in crate::device::cpu) use x86::{Avx2, Avx512};
 
 #[cfg(test)]
 mod tests {

@@ -5,9 +5,9 @@
 //! instruction set, for any number of threads, and with or without [`March::majorant`].
 
 mod empty;
-mod kernel;
-mod lanes;
-mod plan;
+pub(super) mod kernel;
+pub(super) mod lanes;
+pub(super) mod plan;
 
 use rayon::prelude::*;
 
@@ -61,7 +61,7 @@ pub(crate) fn distances(bricks: &BrickLayout, something: &[f32]) -> Vec<f32> {
 
 /// A volume that 32-bit indices cannot address is marched without gathers.
 fn level(plan: &Plan) -> Level {
-    if plan.reach > i32::MAX as usize { Level::Portable } else { simd::level() }
+    if plan.matter.reach > i32::MAX as usize { Level::Portable } else { simd::level() }
 }
 
 /// The scalar twin of [`march()`]: one ray after another in plain f32 code, with the same skipping and the same tiles,

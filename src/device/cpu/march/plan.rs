@@ -8,11 +8,11 @@ use glam::{DVec3, Vec3};
 use super::empty::Distances;
 use crate::device::cpu::host;
 use crate::device::{Falloff, March, Part, Phong, Weight};
-use crate::grid::Slab;
+use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
 /// A dense array that can be interpolated: at least two values along x, so that neighbours along x are read as pairs.
-pub(super) struct Volume<'a> {
+pub(in crate::device::cpu) struct Volume<'a> {
     values: Cow<'a, [f32]>,
     /// Values of the whole grid before the first that is held.
     before: usize,
@@ -36,7 +36,7 @@ impl<'a> Volume<'a> {
 }
 
 /// Where the values of a volume of some size are found: shared by all volumes of that size.
-pub(super) struct Lattice {
+pub(in crate::device::cpu) struct Lattice {
     /// Indices of the first and the last value that are held along each axis: positions are clamped to them.
     pub first: [f32; 3],
     pub last: [f32; 3],
@@ -89,7 +89,7 @@ pub(super) struct Lit<'a> {
 }
 
 /// One column of the transfer function, at least two entries long.
-pub(super) struct Column(Vec<f32>);
+pub(in crate::device::cpu) struct Column(Vec<f32>);
 
 impl Column {
     fn new(entries: impl Iterator<Item = f32>) -> Self {
@@ -101,17 +101,62 @@ impl Column {
     pub fn as_ptr(&self) -> *const f32 {
         self.0.as_ptr()
     }
+
+    /// The integral from the first entry to each, where a column is linear in between.
+    fn integral(&self) -> Self {
+        let mut sum = 0.0f64;
+        let steps = self.0.windows(2).map(|w| 0.5 * (f64::from(w[0]) + f64::from(w[1])));
+        Column(
+            std::iter::once(0.0)
+                .chain(steps.map(|s| {
+                    sum += s;
+                    sum as f32
+                }))
+                .collect(),
+        )
+    }
+}
+
+/// A column, and its integral over the entries before each.
+pub(in crate::device::cpu) struct Summed {
+    pub values: Column,
+    pub sums: Column,
+}
+
+impl Summed {
+    fn new(entries: impl Iterator<Item = f32>) -> Self {
+        let values = Column::new(entries);
+        Summed { sums: values.integral(), values }
+    }
+}
+
+/// Rows of a two-dimensional table.
+pub(in crate::device::cpu) struct Rows {
+    /// Entries of a row.
+    pub width: usize,
+    /// Rows per unit of gradient magnitude.
+    pub scale: f32,
+    /// The last row.
+    pub last: f32,
+}
+
+/// Pre-integration (Engel, Kraus & Ertl 2001, by integral functions): what means over values are made of.
+pub(in crate::device::cpu) struct Means {
+    pub extinction: Summed,
+    /// Extinction times albedo.
+    pub scattering: [Summed; 3],
+    pub emission: Option<[Summed; 3]>,
 }
 
 /// Albedo as it is looked up.
-pub(super) enum Albedo {
+pub(in crate::device::cpu) enum Albedo {
     Constant([f32; 3]),
     Gray(Column),
     Rgb([Column; 3]),
 }
 
 /// The transfer function as columns.
-pub(super) struct Optics {
+pub(in crate::device::cpu) struct Optics {
     pub lo: f32,
     /// Entries per unit of value.
     pub scale: f32,
@@ -122,37 +167,55 @@ pub(super) struct Optics {
     pub chromatic: Option<[f32; 3]>,
     pub albedo: Albedo,
     pub emission: Option<[Column; 3]>,
+    /// Of a two-dimensional table: all columns hold one row after another.
+    pub rows: Option<Rows>,
+    pub means: Option<Means>,
 }
 
 impl Optics {
     fn new(table: &Table) -> Self {
-        let extinction = Column::new(table.extinction.iter().copied());
-        let last = (extinction.0.len() - 1) as f32;
+        let (extinction, albedo, emission) = table.columns();
+        let width = table.extinction.len();
         let columns = |rgb: &[[f32; 3]]| {
             // Shorter columns than the extinction's would be read beyond their end.
-            assert_eq!(rgb.len(), table.extinction.len(), "columns of a table have one length");
+            assert_eq!(rgb.len(), extinction.len(), "columns of a table have one length");
             std::array::from_fn(|c| Column::new(rgb.iter().map(|e| e[c])))
         };
-        let albedo = match table.constant_albedo() {
+        let albedos = match table.constant_albedo() {
             Some(albedo) => Albedo::Constant(albedo),
             None => {
-                let rgb: [Column; 3] = columns(&table.albedo);
-                if table.albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2]) {
+                let rgb: [Column; 3] = columns(albedo);
+                if albedo.iter().all(|a| a[0] == a[1] && a[1] == a[2]) {
                     Albedo::Gray(rgb.into_iter().next().expect("three columns"))
                 } else {
                     Albedo::Rgb(rgb)
                 }
             }
         };
-        let glows = table.emission.iter().flatten().any(|&e| e != 0.0);
+        let glows = emission.iter().flatten().any(|&e| e != 0.0);
+        let rows = table.graded.as_ref().map(|graded| {
+            assert!(width >= 2 && extinction.len() % width == 0 && extinction.len() > width, "whole rows, two or more");
+            Rows { width, scale: graded.scale(), last: (extinction.len() / width - 1) as f32 }
+        });
+        let means = (table.preintegrated && rows.is_none()).then(|| {
+            let scattered = |c: usize| Summed::new(extinction.iter().zip(albedo).map(move |(s, a)| s * a[c]));
+            Means {
+                extinction: Summed::new(extinction.iter().copied()),
+                scattering: std::array::from_fn(scattered),
+                emission: glows.then(|| std::array::from_fn(|c| Summed::new(emission.iter().map(|e| e[c])))),
+            }
+        });
+        let last = (width.max(2) - 1) as f32;
         Optics {
             lo: table.lo,
             scale: table.scale() * last,
             last,
-            extinction,
+            extinction: Column::new(extinction.iter().copied()),
             chromatic: (table.chromatic != [1.0; 3]).then_some(table.chromatic),
-            albedo,
-            emission: glows.then(|| columns(&table.emission)),
+            albedo: albedos,
+            emission: glows.then(|| columns(emission)),
+            rows,
+            means,
         }
     }
 }
@@ -160,6 +223,55 @@ impl Optics {
 /// The planes that are held of a grid.
 fn slab(size: [usize; 3], planes: Option<&Range<usize>>) -> Slab {
     Slab { size, planes: planes.cloned().unwrap_or(0..size[2]) }
+}
+
+/// Data and what they look like, in index space: what samples of any kind read.
+pub(in crate::device::cpu) struct Matter<'a> {
+    /// Index length of a world length, along each axis.
+    pub per_length: Vec3,
+    /// Upper corner of the box in index space; the lower one is −½.
+    pub top: [f32; 3],
+    pub lattice: Lattice,
+    pub data: Volume<'a>,
+    /// Gradient magnitudes, where the table is two-dimensional.
+    pub gradient: Option<Volume<'a>>,
+    pub optics: Optics,
+    pub empty: Option<Distances>,
+    /// Index of the last cell of the whole grid along each axis.
+    pub last_cell: [f32; 3],
+    /// Mean spacing.
+    pub spacing: f32,
+    /// The longest array that a packet addresses.
+    pub reach: usize,
+}
+
+impl<'a> Matter<'a> {
+    /// Of values of which `held` are there; the largest visibility in each brick tells what may be skipped.
+    pub fn new(
+        grid: &Grid,
+        held: &Slab,
+        (field, gradient): (&'a [f32], Option<&'a [f32]>),
+        table: &Table,
+        (bricks, majorant): (&BrickLayout, &[f32]),
+    ) -> Self {
+        Matter {
+            per_length: DVec3::from(grid.spacing).recip().as_vec3(),
+            top: grid.size.map(|n| n as f32 - 0.5),
+            lattice: Lattice::new(held, grid.size),
+            data: Volume::new(field, held),
+            gradient: table.graded.is_some().then(|| Volume::new(gradient.expect("gradients of the data"), held)),
+            optics: Optics::new(table),
+            empty: Distances::new(bricks, majorant),
+            last_cell: grid.size.map(|n| n.saturating_sub(2) as f32),
+            spacing: grid.mean_spacing() as f32,
+            reach: doubled(grid.size),
+        }
+    }
+}
+
+/// Values of a volume whose rows have at least two.
+fn doubled(size: [usize; 3]) -> usize {
+    size[0].max(2) * size[1] * size[2]
 }
 
 /// A march, ready for rays.
@@ -172,26 +284,13 @@ pub(super) struct Plan<'a> {
     /// Half a picture to the right, and upwards.
     pub right: Vec3,
     pub up: Vec3,
-    /// Index length of a world length, along each axis.
-    pub per_length: Vec3,
-    /// Upper corner of the box in index space; the lower one is −½.
-    pub top: [f32; 3],
     pub step: f32,
-    pub lattice: Lattice,
-    pub data: Volume<'a>,
-    pub optics: Optics,
+    pub matter: Matter<'a>,
     pub groups: Vec<Group<'a>>,
     pub terms: usize,
-    pub empty: Option<Distances>,
-    /// Index of the last cell of the whole grid along each axis.
-    pub last_cell: [f32; 3],
     /// Cells along z in which samples are taken lie between these two; `None`: everywhere.
     pub window: Option<[f32; 2]>,
     pub phong: Option<Phong>,
-    /// Mean spacing.
-    pub spacing: f32,
-    /// The longest array that a packet addresses.
-    pub reach: usize,
 }
 
 impl<'a> Plan<'a> {
@@ -208,12 +307,16 @@ impl<'a> Plan<'a> {
 
         let data = slab(grid.size, part.map(|p| &p.field));
         let mut groups: Vec<Group> = Vec::new();
-        // Twice for rows of a single value.
-        let twice = |size: [usize; 3]| size[0].max(2) * size[1] * size[2];
-        let mut reach = twice(grid.size);
+        let mut matter = Matter::new(
+            grid,
+            &data,
+            (host(march.field), march.gradient.map(host)),
+            march.table,
+            (&march.bricks, march.majorant),
+        );
         for (n, term) in march.terms.iter().enumerate() {
             let held = slab(term.grid.size, part.map(|p| &p.terms[n]));
-            reach = reach.max(twice(held.size));
+            matter.reach = matter.reach.max(doubled(held.size));
             let falloff = match term.weight {
                 Weight::Lamp { lamp, .. } => Some(lamp.on(grid, 1)),
                 _ => None,
@@ -236,20 +339,12 @@ impl<'a> Plan<'a> {
             forward: camera.forward,
             right: camera.right * tan.x,
             up: camera.up * tan.y,
-            per_length: spacing.recip().as_vec3(),
-            top: grid.size.map(|n| n as f32 - 0.5),
             step: march.step.max((1e-6 * (hi - lo).length()) as f32),
-            lattice: Lattice::new(&data, grid.size),
-            data: Volume::new(host(march.field), &data),
-            optics: Optics::new(march.table),
+            matter,
             groups,
             terms: march.terms.len(),
-            empty: Distances::new(&march.bricks, march.majorant),
-            last_cell: grid.size.map(|n| n.saturating_sub(2) as f32),
             window: part.map(|p| [p.cells.start, p.cells.end].map(|c| c as f32 - 0.5)),
             phong: march.phong,
-            spacing: grid.mean_spacing() as f32,
-            reach,
         })
     }
 }

@@ -107,6 +107,7 @@ impl Case {
         let march = March {
             grid: &self.grid,
             field: &values,
+            gradient: None,
             table: &self.table,
             bricks,
             majorant: &majorant,
@@ -152,6 +153,7 @@ fn case() -> impl Strategy<Value = Case> {
                     } else {
                         vec![]
                     },
+                    ..Default::default()
                 },
                 camera: Camera::look_at(eye, centre + Vec3::new(0.013, 0.007, 0.0), Vec3::Z, 50.0),
                 phong: shiny.then_some(Phong {
