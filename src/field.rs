@@ -34,13 +34,11 @@ const PIECE: usize = 8 << 20;
 /// Reads the planes of `slab`, a few at a time, with holes marked; returns the number of holes. Where none are known to be there
 /// (`clean`) nobody looks for them.
 pub fn read_planes(field: &dyn Field, slab: &Slab, out: &mut [f32], clean: bool) -> Result<u64> {
-    let deep = (PIECE / (4 * slab.plane()).max(1)).max(1);
-    let mut holes = 0;
-    for (n, out) in out[..slab.len()].chunks_mut((deep * slab.plane()).max(1)).enumerate() {
-        let Region { mut start, mut size } = slab.region();
-        start[2] += n * deep;
-        size[2] = out.len() / slab.plane();
-        field.read(Region { start, size }, out)?;
+    let (mut holes, mut rest) = (0, out);
+    for region in slab.region().slabs(PIECE / 4) {
+        let (out, after) = rest.split_at_mut(region.len());
+        rest = after;
+        field.read(region, out)?;
         if !clean {
             holes += mark_holes(out);
         }

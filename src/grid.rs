@@ -88,6 +88,16 @@ impl Region {
         std::array::from_fn(|a| self.start[a] + self.size[a])
     }
 
+    /// Its planes across z in order, as many at a time as have `most` values, and at least one. Values in (z, y, x) order follow
+    /// one another from slab to slab.
+    pub fn slabs(self, most: usize) -> impl Iterator<Item = Region> {
+        let Region { start: [x, y, z], size: [nx, ny, nz] } = self;
+        let thickness = (most / (nx * ny).max(1)).max(1);
+        (0..nz)
+            .step_by(thickness)
+            .map(move |first| Region { start: [x, y, z + first], size: [nx, ny, thickness.min(nz - first)] })
+    }
+
     /// Grown by `halo` values on every side, clipped to a grid of `size`.
     pub fn grown(&self, halo: usize, size: [usize; 3]) -> Region {
         let start = self.start.map(|s| s.saturating_sub(halo));

@@ -11,6 +11,7 @@ use crate::light::ordinates::Scattered;
 use crate::lights::{self, Light};
 use crate::preview;
 use crate::scene::{DiffusionMethod, Falloff, Model, Scene, Shading, SolverKeys};
+use crate::source;
 use crate::transfer::TransferFunction;
 
 /// Steps that are in memory at once: being read, waiting, being lit, as handed to the device, and the one before.
@@ -122,6 +123,11 @@ pub fn working_set(scene: &Scene, grid: &Grid) -> Result<u64> {
     Ok(4 * (STEPS * values(data) + direct + values(solved.0) * solved.1 + frames))
 }
 
+/// The least budget that leaves `lighting` bytes beside what sources keep [`decoded`](source::decoded).
+fn with_decoded(lighting: u64) -> u64 {
+    lighting + source::DECODED.min(lighting.div_ceil(3))
+}
+
 /// The least budget, in bytes, within which data on `grid` can be lit, its volumes a slab at a time.
 pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     let Needs { data, direct: (light, lights), solved: (coarse, volumes), near, .. } = Needs::new(scene, grid)?;
@@ -153,17 +159,19 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     Ok((4 * (least + kept.min(least / 3))).div_ceil(100) * 101)
 }
 
-/// The smallest blocks, in voxels along an edge and at least 2, whose means can be lit within `budget` bytes as a whole.
+/// The smallest blocks, in voxels along an edge and at least 2, whose means can be lit within `budget` bytes as a whole, beside
+/// [`decoded`](source::decoded) files.
 pub fn preview(scene: &Scene, grid: &Grid, budget: Option<u64>) -> Result<usize> {
     let budget = budget.unwrap_or(u64::MAX);
+    let room = budget - source::decoded(Some(budget));
     let mut needed = 0;
     for factor in 2..=64 {
         needed = working_set(scene, &grid.resized(preview::size(grid.size, factor)))?;
-        if needed <= budget {
+        if needed <= room {
             return Ok(factor);
         }
     }
-    Err(Error::OutOfMemory { needed, budget })
+    Err(Error::OutOfMemory { needed: with_decoded(needed), budget })
 }
 
 /// Bytes of memory that this process may still take: what the machine has available, within the limits of its control group;
@@ -181,24 +189,25 @@ pub fn available() -> Option<u64> {
     Some(limits.into_iter().flatten().fold(machine, u64::min) / 10 * 9)
 }
 
-/// `device`, or one that has it work on a slab at a time, where lighting data on `grid` would take more than `budget`
-/// bytes. Light that does not fit then goes to a file without a name in `folder`.
+/// `device`, or one that has it work on a slab at a time, where lighting data on `grid` would take more than what `budget`
+/// bytes leave beside [`decoded`](source::decoded) files. Light that does not fit then goes to a file without a name in `folder`.
 ///
 /// # Errors
 /// [`Error::OutOfMemory`], naming the smallest budget that works.
 pub fn fit(device: Arc<dyn Device>, scene: &Scene, grid: &Grid, budget: u64, folder: &Path) -> Result<Arc<dyn Device>> {
     let whole = working_set(scene, grid)?;
+    let room = budget - source::decoded(Some(budget));
     let Needs { data, direct, solved, .. } = Needs::new(scene, grid)?;
     let largest = 4 * [data, direct.0, solved.0].map(values).into_iter().max().unwrap_or(0);
-    if whole <= budget && largest <= device.largest() {
+    if whole <= room && largest <= device.largest() {
         return Ok(device);
     }
     let least = smallest(scene, grid)?;
     // Where the whole takes little more than the least there is nothing to gain.
-    if least > budget || (whole <= least && whole > budget) {
-        return Err(Error::OutOfMemory { needed: least.min(whole), budget });
+    if least > room || (whole <= least && whole > room) {
+        return Err(Error::OutOfMemory { needed: with_decoded(least.min(whole)), budget });
     }
-    Ok(Arc::new(Paged::new(device, budget, folder)))
+    Ok(Arc::new(Paged::new(device, room, folder)))
 }
 
 #[cfg(test)]

@@ -199,8 +199,9 @@ pub fn run(args: RenderArgs, quiet: bool, bars: MultiProgress) -> anyhow::Result
         Some(budget) => memory::fit(device, &scene, &grid, budget, &scratch_folder(&out[0]))?,
         None => device,
     };
-    let room =
-        budget.map_or(Ok(KEEP), |b| memory::working_set(&scene, &grid).map(|needed| b.saturating_sub(needed)))?;
+    let room = budget.map_or(Ok(KEEP), |b| {
+        memory::working_set(&scene, &grid).map(|needed| b.saturating_sub(needed + source::decoded(budget)))
+    })?;
     let keep = room.min(KEEP);
     let total = follow.is_none().then_some(indices.len());
     let count = total.map_or("growing".into(), |n| format!("{n} steps"));

@@ -84,7 +84,7 @@ pub struct SourceSpec {
     pub raw: Option<String>,
     /// Level of refinement to bring a mesh to, 0 the coarsest; the finest when absent.
     pub level: Option<usize>,
-    /// Bytes that the run may take in all; a quarter may go to decoded parts of files.
+    /// Bytes that the run may take in all; [`decoded`] parts of files get their share.
     pub memory: Option<u64>,
 }
 
@@ -220,6 +220,14 @@ pub fn open(spec: &SourceSpec) -> Result<Box<dyn Series>> {
         None => plan(&files, spec)?,
     };
     Ok(Box::new(series::Planned::new(plan, spec)?))
+}
+
+/// Bytes of decoded parts of files that a series keeps at most.
+pub const DECODED: u64 = 256 << 20;
+
+/// The share of a budget for everything in which a series keeps decoded parts of files: a quarter, [`DECODED`] at most.
+pub fn decoded(budget: Option<u64>) -> u64 {
+    budget.map_or(DECODED, |b| DECODED.min(b / 4))
 }
 
 /// Asks the layout that the files have for a plan.

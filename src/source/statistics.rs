@@ -56,10 +56,7 @@ pub fn statistics_of(pieces: &[Piece]) -> Result<Statistics> {
     let mut squares = 0.0;
     let mut values = Vec::new();
     for piece in pieces {
-        let [nx, ny, nz] = piece.size;
-        let thickness = (SLAB / (nx * ny).max(1)).clamp(1, nz.max(1));
-        for start in (0..nz).step_by(thickness) {
-            let region = Region { start: [0, 0, start], size: [nx, ny, thickness.min(nz - start)] };
+        for region in (Region { start: [0; 3], size: piece.size }).slabs(SLAB) {
             values.clear();
             values.resize(region.len(), 0.0);
             piece.field.read_f64(region, &mut values)?;

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::coords::Along;
+use super::values::{by_slabs, narrowed};
 use crate::error::Result;
 use crate::field::{Field, HOLE};
 use crate::grid::{Grid, Region};
@@ -230,19 +231,11 @@ fn along(held: &[[f64; 2]], size: [usize; 3], axis: usize, start: usize, taps: &
 
 impl Field for Resampled {
     fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
-        super::values::narrowed(self, region, out)
+        narrowed(self, region, out)
     }
 
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
-        let plane = region.size[0] * region.size[1];
-        let thickness = (SLAB / plane.max(1)).max(1);
-        for first in (0..region.size[2]).step_by(thickness) {
-            let count = thickness.min(region.size[2] - first);
-            let start = [region.start[0], region.start[1], region.start[2] + first];
-            let part = Region { start, size: [region.size[0], region.size[1], count] };
-            self.slab(part, &mut out[first * plane..(first + count) * plane])?;
-        }
-        Ok(())
+        by_slabs(region, SLAB, out, |slab, out| self.slab(slab, out))
     }
 }
 

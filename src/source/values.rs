@@ -80,19 +80,30 @@ impl Field for Constant {
 /// √(Σ component²).
 struct Magnitude(Vec<Arc<dyn Field>>);
 
-/// Reads a field that works in f64 into f32, a few planes at a time.
-pub(super) fn narrowed(field: &dyn Field, region: Region, out: &mut [f32]) -> Result<()> {
-    let plane = region.size[0] * region.size[1];
-    let thickness = ((16 << 20) / plane.max(1)).max(1);
-    let mut wide = Vec::new();
-    for first in (0..region.size[2]).step_by(thickness) {
-        let count = thickness.min(region.size[2] - first);
-        let start = [region.start[0], region.start[1], region.start[2] + first];
-        wide.resize(count * plane, 0.0);
-        field.read_f64(Region { start, size: [region.size[0], region.size[1], count] }, &mut wide)?;
-        out[first * plane..].iter_mut().zip(&wide).for_each(|(o, v)| *o = *v as f32);
+/// Fills `out` with the values of a region a few planes at a time: `read` is given slabs of at most `most` values.
+pub(super) fn by_slabs<T>(
+    region: Region,
+    most: usize,
+    mut out: &mut [T],
+    mut read: impl FnMut(Region, &mut [T]) -> Result<()>,
+) -> Result<()> {
+    for slab in region.slabs(most) {
+        let (here, rest) = out.split_at_mut(slab.len());
+        read(slab, here)?;
+        out = rest;
     }
     Ok(())
+}
+
+/// Reads a field that works in f64 into f32, a few planes at a time.
+pub(super) fn narrowed(field: &dyn Field, region: Region, out: &mut [f32]) -> Result<()> {
+    let mut wide = Vec::new();
+    by_slabs(region, 16 << 20, out, |slab, out| {
+        wide.resize(out.len(), 0.0);
+        field.read_f64(slab, &mut wide)?;
+        out.iter_mut().zip(&wide).for_each(|(o, v)| *o = *v as f32);
+        Ok(())
+    })
 }
 
 impl Field for Magnitude {

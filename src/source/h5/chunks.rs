@@ -4,11 +4,12 @@
 //! A read touches the chunks that meet its region and no others. Those that reach beyond it are kept for the reads that
 //! follow, so that reading brick by brick unpacks each chunk once.
 
-use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use hdf5::Dataset;
 use hdf5::plist::dataset_create::ChunkOpts;
+use lru::LruCache;
 use ndarray::{ArrayViewD, ArrayViewMut3, Axis, Slice};
 
 use super::filters::Pipeline;
@@ -17,9 +18,6 @@ use super::stored;
 use crate::dtype::Dtype;
 use crate::error::{Error, Result};
 use crate::grid::Region;
-
-/// Bytes of unpacked chunks that are kept at most.
-const CACHE: usize = 256 << 20;
 
 /// Bytes of packed chunks that may wait for a core.
 const AHEAD: usize = 64 << 20;
@@ -34,11 +32,46 @@ pub(crate) struct Chunks {
     bytes: usize,
     /// No chunk has more bytes than the file.
     most: u64,
-    kept: Mutex<VecDeque<(Vec<u64>, Unpacked)>>,
+    /// Which dataset's chunks they are, where they are kept.
+    number: u64,
+    kept: Arc<Kept>,
 }
 
 /// A chunk as it was before the filters.
 type Unpacked = Arc<Vec<u8>>;
+
+/// Unpacked chunks of several datasets: those that were asked for last, in so many bytes.
+pub(crate) struct Kept {
+    chunks: Mutex<(LruCache<(u64, Vec<u64>), Unpacked>, usize)>,
+    limit: usize,
+}
+
+impl Kept {
+    /// Keeps within `limit` bytes.
+    pub fn new(limit: usize) -> Kept {
+        Kept { chunks: Mutex::new((LruCache::unbounded(), 0)), limit }
+    }
+
+    fn get(&self, key: &(u64, Vec<u64>)) -> Option<Unpacked> {
+        locked(&self.chunks).0.get(key).cloned()
+    }
+
+    fn put(&self, key: (u64, Vec<u64>), chunk: Unpacked) {
+        if chunk.len() > self.limit {
+            return;
+        }
+        let (chunks, bytes) = &mut *locked(&self.chunks);
+        *bytes += chunk.len();
+        if let Some(before) = chunks.put(key, chunk) {
+            *bytes -= before.len();
+        }
+        while *bytes > self.limit
+            && let Some((_, oldest)) = chunks.pop_lru()
+        {
+            *bytes -= oldest.len();
+        }
+    }
+}
 
 /// Where a chunk begins in the dataset, and the part of a region that it has.
 struct Part {
@@ -63,8 +96,9 @@ struct Scratch<O> {
 
 impl Chunks {
     /// How to unpack a dataset's chunks; `None` where HDF5 has to: no chunks, or filters or numbers that only HDF5
-    /// knows.
-    pub fn of(dataset: &Dataset) -> Option<Chunks> {
+    /// knows. They are kept in `kept`, beside those of other datasets.
+    pub fn of(dataset: &Dataset, kept: &Arc<Kept>) -> Option<Chunks> {
+        static LAST: AtomicU64 = AtomicU64::new(0);
         let shape = dataset.chunk()?;
         let settings = dataset.dcpl().ok()?;
         if settings.get_chunk_opts().ok()?.is_some_and(|o| o.contains(ChunkOpts::DONT_FILTER_PARTIAL_CHUNKS)) {
@@ -74,7 +108,8 @@ impl Chunks {
         let pipeline = Pipeline::of(dataset, dtype.bytes())?;
         let bytes = shape.iter().try_fold(dtype.bytes(), |n, &l| n.checked_mul(l)).filter(|n| *n > 0)?;
         let most = dataset.file().ok()?.size();
-        Some(Chunks { shape, dtype, pipeline, bytes, most, kept: Mutex::default() })
+        let number = LAST.fetch_add(1, Ordering::Relaxed);
+        Some(Chunks { shape, dtype, pipeline, bytes, most, number, kept: kept.clone() })
     }
 
     /// Reads a region of a slab: `narrow` makes values of stored numbers, `absent` reads what was never stored.
@@ -120,15 +155,17 @@ impl Chunks {
             put(&layers, part, |out| place(stored, slab.space, out, |v| v));
             locked(&scratches).push(scratch);
             if !part.whole {
-                self.keep(part, bytes);
+                self.kept.put((self.number, part.chunk.clone()), bytes);
             }
             Ok(())
         };
+        // What waits is within what may be kept; one chunk at least is in hand.
+        let most_ahead = AHEAD.min(self.kept.limit);
         let mut waiting = parts.iter().peekable();
         while waiting.peek().is_some() && !failed() {
             rayon::in_place_scope(|scope| {
                 let mut ahead = 0;
-                while ahead < AHEAD && !failed() {
+                while ahead <= most_ahead && !failed() {
                     let Some(part) = waiting.next() else { break };
                     let packed = match self.packed(dataset, part) {
                         Ok(Some(packed)) => packed,
@@ -211,27 +248,10 @@ impl Chunks {
 
     /// A part's chunk, kept or as it is stored; `None` where there is none.
     fn packed(&self, dataset: &Dataset, part: &Part) -> hdf5::Result<Option<Packed>> {
-        let mut kept = locked(&self.kept);
-        if let Some(at) = kept.iter().position(|(chunk, _)| *chunk == part.chunk) {
-            let found = kept.remove(at).expect("just found");
-            let bytes = found.1.clone();
-            kept.push_back(found);
+        if let Some(bytes) = self.kept.get(&(self.number, part.chunk.clone())) {
             return Ok(Some(Packed::Kept(bytes)));
         }
-        drop(kept);
         Ok(stored::chunk(dataset, &part.chunk, self.most)?.map(|(mask, bytes)| Packed::Filtered(mask, bytes)))
-    }
-
-    /// Keeps an unpacked chunk, at the cost of those that were not asked for longest.
-    fn keep(&self, part: &Part, bytes: Unpacked) {
-        let mut kept = locked(&self.kept);
-        if kept.iter().any(|(chunk, _)| *chunk == part.chunk) {
-            return;
-        }
-        kept.push_back((part.chunk.clone(), bytes));
-        while kept.len() > 1 && kept.len() * self.bytes > CACHE {
-            kept.pop_front();
-        }
     }
 
     fn damaged(&self, slab: &Slab, part: &Part, why: &str) -> Error {
@@ -272,4 +292,27 @@ fn put<O>(layers: &Layers<O>, part: &Part, put: impl FnOnce(ArrayViewMut3<O>)) {
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_of_all_datasets_share_one_limit() {
+        let kept = Kept::new(100);
+        let chunk = |bytes| Arc::new(vec![0; bytes]);
+        for dataset in 0..3 {
+            kept.put((dataset, vec![0]), chunk(40));
+        }
+        // The first gave way to the third; the second was asked for last, so that the next to go is the third.
+        assert!(kept.get(&(0, vec![0])).is_none() && kept.get(&(1, vec![0])).is_some());
+        kept.put((0, vec![0]), chunk(60));
+        assert!(kept.get(&(2, vec![0])).is_none() && kept.get(&(1, vec![0])).is_some());
+        // The same again counts once, and what can never fit drives nothing out.
+        kept.put((0, vec![0]), chunk(60));
+        kept.put((3, vec![0]), chunk(101));
+        assert!(kept.get(&(0, vec![0])).is_some() && kept.get(&(1, vec![0])).is_some());
+        assert_eq!(locked(&kept.chunks).1, 100);
+    }
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use hdf5::{Dataset, H5Type, Hyperslab, SliceOrIndex};
 use ndarray::{ArrayD, ArrayViewD, ArrayViewMut3, Axis, Ix3, s};
 
-use super::chunks::Chunks;
+use super::chunks::{Chunks, Kept};
 use super::filters;
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -86,9 +86,6 @@ impl Slab {
     }
 }
 
-/// Bytes of decoded chunks kept at most where HDF5 decodes, so that reading slab by slab decodes each chunk once.
-const CACHE: usize = 256 << 20;
-
 /// A dataset held open.
 pub(super) struct Held {
     pub dataset: Dataset,
@@ -99,8 +96,10 @@ pub(super) struct Held {
 /// Datasets held open from one step to the next.
 pub(crate) struct Opened {
     kept: Mutex<VecDeque<(PathBuf, String, Arc<Held>)>>,
-    /// Bytes of decoded chunks kept at most.
+    /// Bytes of chunks that HDF5 keeps decoded at most, for each dataset.
     cache: usize,
+    /// Chunks that are decoded here.
+    chunks: Arc<Kept>,
 }
 
 impl Default for Opened {
@@ -110,10 +109,10 @@ impl Default for Opened {
 }
 
 impl Opened {
-    /// Keeps within a quarter of `memory` bytes.
+    /// Keeps decoded chunks within what is left to sources of `memory` bytes, so that reading slab by slab decodes each once.
     pub fn new(memory: Option<u64>) -> Self {
-        let cache = memory.map_or(CACHE, |m| CACHE.min((m / 4) as usize));
-        Opened { kept: Mutex::default(), cache }
+        let most = crate::source::decoded(memory) as usize;
+        Opened { kept: Mutex::default(), cache: most / Self::KEPT, chunks: Arc::new(Kept::new(most)) }
     }
 
     /// Datasets kept: the three components of a vector and one more.
@@ -126,7 +125,7 @@ impl Opened {
         }
         let open = |cache| super::open_dataset(&super::open_file(path, cache)?, path, name);
         let mut dataset = open(0)?;
-        let chunks = if slab.rank >= 3 { Chunks::of(&dataset) } else { None };
+        let chunks = if slab.rank >= 3 { Chunks::of(&dataset, &self.chunks) } else { None };
         if chunks.is_none() {
             let cache = cache_bytes(&dataset, slab, self.cache);
             drop(dataset);
