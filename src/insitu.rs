@@ -40,6 +40,7 @@
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
@@ -75,9 +76,15 @@ pub enum Taken {
 }
 
 /// An open session. Every method may be called from any thread; steps are lit in the order in which their pushes end.
+///
+/// Its threads live in the process that opened it. In one that was forked from it every method fails ([`Error::Closed`]) rather than
+/// wait for threads that are not there, [`InSitu::stats`] are all 0, and dropping it does nothing. A forked process opens no
+/// session of its own either, before it has executed another program: locks of libraries may have been held when it was made.
 pub struct InSitu {
     queue: Arc<Queue>,
     lighting: Mutex<Option<JoinHandle<Result<()>>>>,
+    /// The process that has the threads.
+    process: u32,
 }
 
 /// A session to be opened: a scene, and what a scene file cannot say.
@@ -121,7 +128,7 @@ impl Opening {
         let thread = thread.map_err(|e| Error::Device(format!("cannot start a thread: {e}")))?;
         let died = || Err(Error::Bug("the lighting thread died while opening".into()));
         match opened.recv().unwrap_or_else(|_| died()) {
-            Ok(()) => Ok(InSitu { queue, lighting: Mutex::new(Some(thread)) }),
+            Ok(()) => Ok(InSitu { queue, lighting: Mutex::new(Some(thread)), process: std::process::id() }),
             Err(e) => {
                 let _ = thread.join();
                 Err(e)
@@ -194,6 +201,7 @@ impl InSitu {
         time: Option<f64>,
         take: impl FnOnce(Vec<f32>) -> Result<(Timestep, Option<Arc<Dense>>, u64)>,
     ) -> Result<Taken> {
+        self.is_here()?;
         let begun = Instant::now();
         let _float = DefaultFloat::enter();
         let (spare, row) = match self.queue.admit(step, time, begun)? {
@@ -220,12 +228,25 @@ impl InSitu {
     /// # Errors
     /// [`Error::Closed`] when the session has ended. Steps that were lost are no error here: see [`InSitu::stats`].
     pub fn flush(&self) -> Result<()> {
+        self.is_here()?;
         self.queue.flush()
+    }
+
+    /// Waits until the steps pushed so far are lit and written, and keeps their light in a file, for a simulation to call where it
+    /// writes a restart file. A run that is restarted from there goes on warm when the file is its `insitu.light_state`, with the
+    /// frames that this one makes. The file appears under its name only when it is whole, in the place of an earlier one.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] before the first step and for the paper's model, [`Error::Io`] where the file cannot be written;
+    /// [`Error::Closed`] when the session has ended.
+    pub fn save_light(&self, path: &Path) -> Result<()> {
+        self.flush()?;
+        self.queue.keep(path.into())
     }
 
     /// What has become of the steps so far.
     pub fn stats(&self) -> Stats {
-        self.queue.stats()
+        if self.is_here().is_ok() { self.queue.stats() } else { Stats::default() }
     }
 
     /// Lights what is still waiting, closes every file and ends the threads. Later calls give the same figures.
@@ -233,6 +254,7 @@ impl InSitu {
     /// # Errors
     /// The first file that could not be closed; [`InSitu::stats`] still tells the rest.
     pub fn close(&self) -> Result<Stats> {
+        self.is_here()?;
         self.queue.close();
         let thread = self.lighting.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(thread) = thread {
@@ -240,10 +262,24 @@ impl InSitu {
         }
         Ok(self.stats())
     }
+
+    /// That this is the process that has the session's threads.
+    fn is_here(&self) -> Result<()> {
+        if std::process::id() == self.process {
+            return Ok(());
+        }
+        let why = "the session belongs to the process that this one was forked from\n  try: to open one in a program of its own";
+        Err(Error::Closed(why.into()))
+    }
 }
 
 impl Drop for InSitu {
     fn drop(&mut self) {
+        if self.is_here().is_err() {
+            // Not even detached: the thread is not here.
+            std::mem::forget(self.lighting.get_mut().unwrap_or_else(PoisonError::into_inner).take());
+            return;
+        }
         // What could not be closed has been said.
         let _ = self.close();
     }

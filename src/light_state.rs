@@ -41,6 +41,9 @@ pub struct About {
     pub anisotropy: f32,
     /// Steps that the run had done.
     pub steps: u64,
+    /// Number of the last of them.
+    #[serde(default)]
+    pub last: Option<u64>,
     /// Range of the values so far, where the range of the transfer function grows with the steps.
     pub seen: Option<[f64; 2]>,
 }
@@ -116,10 +119,13 @@ impl LightState {
             file.close()?;
             Ok(None)
         };
+        // On the disk before it has its name, so that not even a machine that stops leaves half of it.
+        let sync = || std::fs::File::open(&temporary).and_then(|f| f.sync_all()).map_err(|e| Error::io(path, e));
         let failed = |e: hdf5::Error| Error::format(path, format!("the light cannot be written: {e}"), "");
         if let Some(e) = write().map_err(failed)? {
             return Err(e);
         }
+        sync()?;
         temporary.persist(path).map_err(|e| Error::io(path, e.error))
     }
 

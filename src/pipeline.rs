@@ -137,8 +137,8 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
     let run = Run { session, sinks, ledger, light_state, total: follow.is_none().then_some(left) };
     if let Some(mut follow) = follow {
         let steps = std::iter::from_fn(move || follow.next(stop)).map(move |(step, opened)| match opened {
-            _ if done.has(step) => Ok(None),
-            Ok(step) => Ok(Some(step)),
+            _ if done.has(step) => Ok(Turn::Done(step)),
+            Ok(step) => Ok(Turn::Now(step)),
             Err(e) => Err((step, e)),
         });
         return run.drive(steps, stop, progress);
@@ -147,9 +147,9 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
     let steps = indices.into_iter().map(move |i| {
         let step = info.steps[i].step;
         match kept.remove(&i) {
-            _ if done.has(step) => Ok(None),
-            Some(kept) => Ok(Some(kept)),
-            None => guarded(|| series.timestep(i)).map(Some).map_err(|e| (step, e)),
+            _ if done.has(step) => Ok(Turn::Done(step)),
+            Some(kept) => Ok(Turn::Now(kept)),
+            None => guarded(|| series.timestep(i)).map(Turn::Now).map_err(|e| (step, e)),
         }
     });
     run.drive(steps, stop, progress)
@@ -206,8 +206,15 @@ pub fn series_range(
     }
 }
 
-/// A step that was found: `None` when an earlier run has done it.
-type Found = std::result::Result<Option<Timestep>, (u64, Error)>;
+/// A step whose turn has come.
+enum Turn<T> {
+    /// An earlier run has done it.
+    Done(u64),
+    Now(T),
+}
+
+/// A step that was found.
+type Found = std::result::Result<Turn<Timestep>, (u64, Error)>;
 
 /// What the stages work with.
 struct Run {
@@ -257,7 +264,7 @@ impl Run {
 }
 
 /// What the reader hands on: values in memory and the time they took, or why there are none.
-type Read = std::result::Result<Option<(Timestep, f64)>, (u64, Error)>;
+type Read = std::result::Result<Turn<(Timestep, f64)>, (u64, Error)>;
 
 /// Reads whole steps ahead of their turn; only opens them for a device that pages.
 fn read_ahead(steps: impl Iterator<Item = Found>, pages: bool, to: Sender<Read>, stop: &AtomicBool) {
@@ -268,7 +275,10 @@ fn read_ahead(steps: impl Iterator<Item = Found>, pages: bool, to: Sender<Read>,
             let read = if pages { Ok(t) } else { guarded(|| resident(t)) }.map_err(|e| (step, e))?;
             Ok((read, begun.elapsed().as_secs_f64() * 1e3))
         };
-        let read = found.and_then(|t| t.map(read).transpose());
+        let read = found.and_then(|turn| match turn {
+            Turn::Done(step) => Ok(Turn::Done(step)),
+            Turn::Now(step) => read(step).map(Turn::Now),
+        });
         if stop.load(Ordering::Relaxed) || to.send(read).is_err() {
             return;
         }
@@ -297,12 +307,12 @@ fn light_up(session: &mut Session, from: Receiver<Read>, to: Sender<Lit>, stop: 
             break;
         }
         let lit = match read {
-            Ok(None) => {
-                session.pass_over();
+            Ok(Turn::Done(step)) => {
+                session.pass_over(step);
                 skipped += 1;
                 continue;
             }
-            Ok(Some((step, read_ms))) => {
+            Ok(Turn::Now((step, read_ms))) => {
                 let (number, time) = (step.step, step.time);
                 match guarded(|| session.advance(step)) {
                     Ok(mut output) => {

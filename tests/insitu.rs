@@ -585,6 +585,127 @@ fn leaks() {
     assert_eq!((count("task"), count("fd")), (threads, files));
 }
 
+/// A checkpointed scene: a camera that orbits and a tolerance of its own.
+fn checkpointed_scene(out: &Path, name: &str, tolerance: f64) -> Scene {
+    let mut scene = scene(out, &[&format!("{name}_{{step:03}}.exr")]);
+    scene.insitu.ledger = Some(out.join(format!("{name}.csv")));
+    scene.light.tolerance = tolerance;
+    scene.cameras = vec![gloaming::scene::CameraKeys { orbit: 5.0, ..Default::default() }];
+    scene
+}
+
+/// A simulation that saves the light beside its restart file and is killed later on: restarted from there it makes the frames that it
+/// would have made, warm.
+#[test]
+#[cfg(unix)]
+fn light_that_was_saved_in_between_outlives_the_process() {
+    for tolerance in [0.0, 1e-3] {
+        let out = tempfile::tempdir().unwrap();
+        let run = |scene: Scene, steps: std::ops::Range<u64>| {
+            let lit = InSitu::with(scene).open().unwrap();
+            steps.for_each(|step| assert_eq!(lit.push_owned(owned(step)).unwrap(), Taken::Queued));
+            lit.close().unwrap()
+        };
+        run(checkpointed_scene(out.path(), "whole", tolerance), 0..9);
+        let mut child = alone("checkpointed", out.path(), r#"exec "$@""#)
+            .env("GLOAMING_TEST_TOLERANCE", tolerance.to_string())
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
+        while !out.path().join("cut_005.exr").exists() {
+            assert!(std::time::Instant::now() < deadline, "no frame came");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // What it did after the restart file was written is done again, by the light of that moment; then all is as complete as it
+        // can be, and passed over.
+        for last in [7, 9] {
+            let mut scene = checkpointed_scene(out.path(), "cut", tolerance);
+            scene.insitu.light_state = Some(out.path().join("light.h5"));
+            scene.insitu.resume = last == 9;
+            if scene.insitu.resume {
+                std::fs::copy(out.path().join("saved.h5"), out.path().join("light.h5")).unwrap();
+            } else {
+                std::fs::copy(out.path().join("light.h5"), out.path().join("saved.h5")).unwrap();
+                std::fs::remove_file(out.path().join("cut_005.exr")).unwrap();
+            }
+            run(scene, 4..last);
+            if last == 7 {
+                let starts = ledger::read(&out.path().join("cut.csv")).unwrap();
+                assert!(starts.iter().all(|row| row.start == "warm"), "{starts:?}");
+            }
+            let frame = |name: &str, step| {
+                gloaming::sink::exr::read(&out.path().join(format!("{name}_{step:03}.exr"))).unwrap().pixels
+            };
+            // Steps that were passed over are not in the light: within the tolerance then, and to the bit at 0.
+            let same = if last == 7 || tolerance == 0.0 { 0..last } else { 0..7 };
+            for step in same {
+                assert!(frame("cut", step) == frame("whole", step), "step {step} at tolerance {tolerance}");
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "run by light_that_was_saved_in_between_outlives_the_process"]
+fn checkpointed() {
+    let out = out_of_parent();
+    let tolerance = std::env::var("GLOAMING_TEST_TOLERANCE").unwrap().parse().unwrap();
+    let lit = InSitu::with(checkpointed_scene(&out, "cut", tolerance)).open().unwrap();
+    for step in 0.. {
+        lit.push_owned(owned(step)).unwrap();
+        if step == 3 {
+            lit.save_light(&out.join("light.h5")).unwrap();
+            assert!(out.join("cut_003.exr").exists(), "what came before is written");
+        }
+    }
+}
+
+#[test]
+fn light_is_saved_every_so_many_steps_and_cannot_be_before_the_first() {
+    let out = tempfile::tempdir().unwrap();
+    let kept = out.path().join("kept.h5");
+    let mut scene = checkpointed_scene(out.path(), "f", 1e-3);
+    (scene.insitu.light_state, scene.insitu.light_state_every) = (Some(kept.clone()), Some(2));
+    let lit = InSitu::with(scene.clone()).open().unwrap();
+    let early = lit.save_light(&out.path().join("early.h5"));
+    assert!(matches!(early, Err(Error::Unsupported(_))), "{early:?}");
+    let about = |path: &Path| gloaming::light_state::LightState::read(path).unwrap().about;
+    for step in 0..3 {
+        lit.push_owned(owned(step)).unwrap();
+        lit.flush().unwrap();
+    }
+    assert_eq!((about(&kept).steps, about(&kept).last), (2, Some(1)));
+    let nowhere = lit.save_light(Path::new("/dev/null/light.h5"));
+    assert!(nowhere.is_err_and(|e| e.to_string().contains("/dev/null")));
+    assert_eq!(lit.close().unwrap().lit, 3, "and the session goes on");
+    assert_eq!((about(&kept).steps, about(&kept).last), (3, Some(2)));
+    assert!(matches!(lit.save_light(&kept), Err(Error::Closed(_))));
+    scene.insitu.light_state = None;
+    assert!(InSitu::with(scene).open().err().unwrap().to_string().contains("light_state_every"));
+}
+
+/// Where no light was kept, the number of frames that there are puts the camera where it belongs. At tolerance 0 a cold start is no other
+/// light.
+#[test]
+fn a_camera_in_orbit_goes_on_from_the_frames_before() {
+    let out = tempfile::tempdir().unwrap();
+    let frame = |name: &str, before, steps: std::ops::Range<u64>| {
+        let mut scene = checkpointed_scene(out.path(), name, 0.0);
+        (scene.light.scattering, scene.insitu.steps_before) = (false, before);
+        let lit = InSitu::with(scene).open().unwrap();
+        let last = steps.end - 1;
+        steps.for_each(|step| assert_eq!(lit.push_owned(owned(step)).unwrap(), Taken::Queued));
+        lit.close().unwrap();
+        gloaming::sink::exr::read(&out.path().join(format!("{name}_{last:03}.exr"))).unwrap().pixels
+    };
+    let whole = frame("whole", 0, 0..5);
+    assert!(frame("on", 3, 3..5) == whole);
+    assert!(frame("anew", 0, 3..5) != whole);
+}
+
 /// A restarted run goes on where the one before ended: warm, and with the frames of a run that was never cut.
 #[test]
 fn light_outlives_a_session() {

@@ -12,7 +12,7 @@ use super::writing::{Handed, Writing};
 use super::{Opening, say};
 use crate::device;
 use crate::device::cpu::float::DefaultFloat;
-use crate::error::{Error, Result, panic_text};
+use crate::error::{Error, Result, guarded, panic_text};
 use crate::field::Timestep;
 use crate::ledger::{Ledger, LedgerRow};
 use crate::light_state::LightState;
@@ -27,8 +27,11 @@ const DEPTH: usize = 2;
 pub(super) struct Lighting {
     session: Session,
     queue: Arc<Queue>,
-    /// Where the light is left at the end.
+    /// Where the light is left at the end, and after how many steps.
     light_state: Option<PathBuf>,
+    light_state_every: Option<u64>,
+    /// Steps lit since the light was left.
+    since: u64,
     /// When resuming: the outputs, asked only for the files that a step has.
     complete: Vec<Box<dyn Sink>>,
 }
@@ -96,12 +99,14 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     };
     let wants_light = all.iter().any(|s| s.wants_light());
     let mut session = Session::new(device, scene, None, wants_light)?;
+    session.count_before(keys.steps_before);
     if let Some(kept) = kept {
         session.start_from(kept);
     }
     keys.light_change.into_iter().for_each(|change| session.only_when_light_changes(change));
     let writing = Writing::new(all, ledger, queue.clone());
-    Ok((Lighting { session, queue, light_state: keys.light_state, complete }, writing))
+    let InSituKeys { light_state, light_state_every, .. } = keys;
+    Ok((Lighting { session, queue, light_state, light_state_every, since: 0, complete }, writing))
 }
 
 /// Keeps this thread, and those that it will start, on the cores of the settings.
@@ -128,6 +133,10 @@ impl Lighting {
                 Next::End => return,
                 Next::Note(rows) => rows.into_iter().map(Handed::Note).collect(),
                 Next::Light(arrived) => Vec::from_iter(self.light(*arrived)),
+                Next::Keep(keep) => {
+                    let _ = keep.told.send(guarded(|| self.session.light_state()?.write(&keep.path)));
+                    continue;
+                }
             };
             for handed in handed {
                 if to.send(handed).is_err() {
@@ -135,6 +144,18 @@ impl Lighting {
                     return;
                 }
             }
+            self.keep_light_in_between();
+        }
+    }
+
+    /// Leaves the light after every so many steps.
+    fn keep_light_in_between(&mut self) {
+        if self.light_state_every.is_none_or(|every| self.since < every) {
+            return;
+        }
+        self.since = 0;
+        if let Err(e) = guarded(|| self.keep_light()) {
+            say(&format!("the light is not kept: {e}"));
         }
     }
 
@@ -150,6 +171,7 @@ impl Lighting {
     fn light(&mut self, arrived: Arrived) -> Option<Handed> {
         let Arrived { step, copy, row: pushed } = arrived;
         if self.is_complete(step.step) {
+            self.session.pass_over(step.step);
             drop(step);
             self.queue.recycle(copy);
             self.queue.passed_over();
@@ -166,6 +188,7 @@ impl Lighting {
         let LedgerRow { held_ms, queue_depth, drops, bytes, .. } = pushed;
         Some(match lit {
             Ok(mut output) => {
+                self.since += 1;
                 output.row = LedgerRow { held_ms, queue_depth, drops, bytes, ..output.row };
                 let nothing = output.frames.is_empty() && output.light.is_none();
                 if nothing { Handed::Unchanged(output.row) } else { Handed::Lit(Box::new(output)) }

@@ -2,9 +2,11 @@
 //! that nobody holds for long, unless it has chosen to wait.
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use crossbeam_channel::{Sender, bounded};
 use serde::Serialize;
 
 use super::say;
@@ -63,7 +65,18 @@ pub(super) enum Next {
     Light(Box<Arrived>),
     /// Rows of steps that never got so far.
     Note(Vec<LedgerRow>),
+    /// The light of the steps lit so far is to be kept.
+    Keep(Keep),
     End,
+}
+
+/// Light to be kept in a file, once the steps that came before are lit.
+pub(super) struct Keep {
+    pub path: PathBuf,
+    /// Told how it went.
+    pub told: Sender<Result<()>>,
+    /// Steps that had come when it was asked for.
+    after: u64,
 }
 
 /// What a row in the ledger stands for.
@@ -88,7 +101,11 @@ pub(super) struct Queue {
 
 #[derive(Default)]
 struct State {
-    waiting: VecDeque<Box<Arrived>>,
+    /// With their numbers in the order of arrival.
+    waiting: VecDeque<(u64, Box<Arrived>)>,
+    /// Steps that have come.
+    arrived: u64,
+    keeps: VecDeque<Keep>,
     /// Places promised to pushes that are still copying.
     reserved: usize,
     /// Steps and notes that the writer has not finished with.
@@ -167,12 +184,12 @@ impl Queue {
                     return Ok(Admission::Dropped);
                 }
                 Policy::DropOldest if !state.waiting.is_empty() => {
-                    if let Some(oldest) = state.waiting.pop_front() {
+                    if let Some((_, oldest)) = state.waiting.pop_front() {
                         state.drop_waiting(*oldest, "drop-oldest");
                     }
                 }
                 Policy::Coalesce if !state.waiting.is_empty() => {
-                    for older in std::mem::take(&mut state.waiting) {
+                    for (_, older) in std::mem::take(&mut state.waiting) {
                         state.drop_waiting(*older, "coalesce");
                     }
                 }
@@ -216,7 +233,9 @@ impl Queue {
         state.stats.bytes += arrived.row.bytes;
         arrived.row.held_ms = held(&mut state, begun);
         state.reserved -= 1;
-        state.waiting.push_back(Box::new(arrived));
+        state.arrived += 1;
+        let number = state.arrived;
+        state.waiting.push_back((number, Box::new(arrived)));
         self.changed.notify_all();
     }
 
@@ -240,7 +259,11 @@ impl Queue {
             if !state.notes.is_empty() {
                 return Next::Note(std::mem::take(&mut state.notes));
             }
-            if let Some(arrived) = state.waiting.pop_front() {
+            let next = state.waiting.front().map(|(number, _)| *number);
+            if let Some(keep) = state.keeps.pop_front_if(|keep| next.is_none_or(|next| next > keep.after)) {
+                return Next::Keep(keep);
+            }
+            if let Some((_, arrived)) = state.waiting.pop_front() {
                 self.changed.notify_all();
                 return Next::Light(arrived);
             }
@@ -292,6 +315,19 @@ impl Queue {
         open(&state)
     }
 
+    /// Asks for the light of the steps that have come to be kept, and waits until it is.
+    pub fn keep(&self, path: PathBuf) -> Result<()> {
+        let (told, tells) = bounded(1);
+        {
+            let mut state = self.lock();
+            open(&state)?;
+            let after = state.arrived;
+            state.keeps.push_back(Keep { path, told, after });
+            self.changed.notify_all();
+        }
+        tells.recv().unwrap_or_else(|_| Err(Error::Closed("the session ended; close() tells why".into())))
+    }
+
     /// Takes no more steps.
     pub fn close(&self) {
         self.lock().closing = true;
@@ -303,6 +339,7 @@ impl Queue {
         let mut state = self.lock();
         state.ended.get_or_insert_with(|| why.into());
         state.waiting.clear();
+        state.keeps.clear();
         state.spare.clear();
         self.changed.notify_all();
     }

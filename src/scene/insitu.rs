@@ -35,6 +35,10 @@ pub struct InSituKeys {
     pub resume: bool,
     /// File from which the light is loaded at the start, when it is there, and to which it is saved at the end.
     pub light_state: Option<PathBuf>,
+    /// Saves the light there also after every so many lit steps.
+    pub light_state_every: Option<u64>,
+    /// Frames that earlier runs have made: cameras that orbit go on from there. A `light_state` tells by itself.
+    pub steps_before: u64,
 }
 
 impl Default for InSituKeys {
@@ -52,6 +56,8 @@ impl Default for InSituKeys {
             light_change: None,
             resume: false,
             light_state: None,
+            light_state_every: None,
+            steps_before: 0,
         }
     }
 }

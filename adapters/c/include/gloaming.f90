@@ -37,7 +37,7 @@ module gloaming
     end type
 
     public :: gloaming_open, gloaming_open_file, gloaming_push, gloaming_push_block, gloaming_push_owned
-    public :: gloaming_flush, gloaming_get_stats, gloaming_close, gloaming_message
+    public :: gloaming_flush, gloaming_save_light, gloaming_get_stats, gloaming_close, gloaming_message
 
     ! gloaming_push(session, step, time, values [, ghosts] [, spacing] [, origin] [, error]) of a dense array, the same number of
     ! ghost layers on each side left out. The values are copied before it returns.
@@ -55,6 +55,11 @@ module gloaming
             import :: c_ptr
             type(c_ptr), value :: path, error
             type(c_ptr) :: session
+        end function
+        function c_save_light(session, path, error) bind(c, name="gloaming_save_light") result(code)
+            import :: c_ptr, c_int32_t
+            type(c_ptr), value :: session, path, error
+            integer(c_int32_t) :: code
         end function
         function gloaming_push_block(session, step, time, block, values, error) bind(c) result(code)
             import :: c_ptr, c_int32_t, c_int64_t, c_double, gloaming_block, gloaming_error
@@ -123,6 +128,20 @@ contains
         told = c_null_ptr
         if (present(error)) told = c_loc(error)
         session = c_open_file(c_loc(text), told)
+    end function
+
+    ! Keeps the light of the steps pushed so far in a file, for a restarted run to go on from.
+    function gloaming_save_light(session, path, error) result(code)
+        type(c_ptr), intent(in) :: session
+        character(*), intent(in) :: path
+        type(gloaming_error), intent(out), target, optional :: error
+        integer(c_int32_t) :: code
+        character(kind=c_char), target :: text(len(path) + 1)
+        type(c_ptr) :: told
+        call to_c(path, text)
+        told = c_null_ptr
+        if (present(error)) told = c_loc(error)
+        code = c_save_light(session, c_loc(text), told)
     end function
 
     subroutine to_c(string, text)

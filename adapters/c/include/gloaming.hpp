@@ -72,6 +72,11 @@ public:
 
     int flush(gloaming_error* error = nullptr) { return gloaming_flush(session_, error); }
 
+    // Keeps the light of the steps so far in a file, for a restarted run to go on from.
+    int save_light(const std::string& path, gloaming_error* error = nullptr) {
+        return gloaming_save_light(session_, path.c_str(), error);
+    }
+
     gloaming_stats stats() const {
         gloaming_stats stats = {};
         gloaming_get_stats(session_, &stats, nullptr);

@@ -191,6 +191,28 @@ pub unsafe extern "C" fn gloaming_flush(session: *mut gloaming_session, error: *
     }
 }
 
+/// Waits until every step pushed so far is lit and written, and keeps their light in the file at `path`: call it where a restart
+/// file is written. A run that is restarted from there goes on warm when that is its `insitu.light_state`. The file appears under
+/// its name only when it is whole, in the place of an earlier one.
+///
+/// # Safety
+/// `path` is NULL or ends in 0; `error` is NULL or points to a gloaming_error.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn gloaming_save_light(
+    session: *mut gloaming_session,
+    path: *const c_char,
+    error: *mut gloaming_error,
+) -> i32 {
+    // SAFETY: as the caller promises.
+    unsafe {
+        guarded(error, || {
+            let lit = sessions::find(session)?;
+            lit.save_light(Path::new(text(path)?))?;
+            Ok(GLOAMING_OK)
+        })
+    }
+}
+
 /// Tells what has become of the steps so far.
 ///
 /// # Safety
@@ -252,7 +274,8 @@ unsafe fn opened(error: *mut gloaming_error, scene: impl FnOnce() -> Result<Scen
     // SAFETY: `own` is a gloaming_error.
     let code = unsafe {
         guarded(&raw mut own, || {
-            session = sessions::add(InSitu::with(scene()?).open()?);
+            sessions::check()?;
+            session = sessions::add(InSitu::with(scene()?).open()?)?;
             Ok(GLOAMING_OK)
         })
     };

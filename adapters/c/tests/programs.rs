@@ -202,6 +202,52 @@ fn faults_of_c_programs_are_refused() {
     }
 }
 
+/// Nothing hangs in a forked process, and the light is in its file when the call returns.
+#[test]
+#[cfg(unix)]
+fn forked_processes_are_refused() {
+    let out = tempfile::tempdir().unwrap();
+    let program = c(Path::new(FOLDER).join("tests/forked.c"), out.path());
+    let light = out.path().join("light.h5");
+    let run = ok(Command::new(&program).arg(config(out.path(), "")).arg(&light));
+    assert_eq!(String::from_utf8_lossy(&run.stdout), "fork survived\n");
+    assert!(String::from_utf8_lossy(&run.stderr).contains("forked from"));
+    assert_eq!(gloaming::light_state::LightState::read(&light).unwrap().about.steps, 4);
+}
+
+/// What the readme says is typed as it stands there, by a user in a folder of his own.
+#[test]
+fn the_readmes_commands_build_against_what_was_installed() {
+    let out = tempfile::tempdir().unwrap();
+    let installed = out.path().join("installed");
+    std::os::unix::fs::symlink(prefix(), &installed).unwrap();
+    let readme = std::fs::read_to_string(Path::new(FOLDER).join("../../README.md")).unwrap();
+    for name in ["heat.c", "wave.cpp", "advect.f90"] {
+        std::fs::copy(example(name), out.path().join(name)).unwrap();
+    }
+    let shorter = |program: &str| program.replace("#define N 64", "#define N 12").replace("step < 48", "step < 2");
+    std::fs::write(out.path().join("minimal.c"), shorter(&std::fs::read_to_string(example("minimal.c")).unwrap()))
+        .unwrap();
+    let block = |kind: &str, has: &str| {
+        let blocks = readme.split(&format!("```{kind}\n")).skip(1).filter_map(|b| b.split("```").next());
+        let found = blocks.filter(|b| b.contains(has)).collect::<Vec<_>>();
+        assert_eq!(found.len(), 1, "blocks of {kind} with {has}");
+        found[0].to_string()
+    };
+    std::fs::write(out.path().join("CMakeLists.txt"), block("cmake", "find_package(gloaming")).unwrap();
+    let typed = block("sh", "PKG_CONFIG_PATH=DIR").replace("DIR", installed.to_str().unwrap());
+    assert!(["cc ", "gfortran ", "cmake "].iter().all(|tool| typed.contains(tool)));
+    ok(Command::new("sh").current_dir(out.path()).arg("-euc").arg(&typed));
+    assert!(std::fs::metadata(out.path().join("movie.mp4")).unwrap().len() > 500);
+    for program in ["./advect", "build/wave", "build/heat"] {
+        let with_config = ["12", "2", config(out.path(), "").to_str().unwrap()].map(String::from);
+        let mut command = Command::new("sh");
+        let line = format!("export LD_LIBRARY_PATH=installed/lib; exec {program} \"$@\"");
+        let run = ok(command.current_dir(out.path()).arg("-c").arg(line).arg("sh").args(with_config));
+        assert!(String::from_utf8_lossy(&run.stderr).contains("2 of 2 steps lit"), "{program}");
+    }
+}
+
 /// No read or write outside of what was allocated, no use after a release, nothing definitely lost.
 #[test]
 #[cfg(target_os = "linux")]

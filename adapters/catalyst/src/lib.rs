@@ -13,11 +13,16 @@
 //! any type and stride; ghost layers are left out, single ghosts become holes. In a run on several processes each lights its own
 //! block, and `{rank}` in the configuration stands for the process's number.
 //!
+//! A simulation that puts a path at `catalyst/gloaming/save_light` into what it executes, where it writes a restart file, finds the
+//! light of the steps so far in that file when the call returns; a restarted run whose `insitu.light_state` it is goes on warm.
+//! `insitu.light_state_every` does so without the simulation's doing.
+//!
 //! Every call returns a status: 0, or one of [`Status`]. What went wrong with a step is said on stderr and written in the ledger,
 //! and `catalyst_results` tells the latest under `catalyst/gloaming`; the next step goes on.
 
 use std::ffi::c_int;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use gloaming::insitu::{InSitu, Stats};
@@ -103,6 +108,9 @@ struct Coupling {
     /// Number of the next step where the simulation does not number them.
     next: u64,
 }
+
+/// Where a simulation says that the light is to be kept in a file.
+const SAVE_LIGHT: &str = "catalyst/gloaming/save_light";
 
 static STATE: Mutex<Option<State>> = Mutex::new(None);
 
@@ -195,7 +203,13 @@ unsafe extern "C" fn execute(params: *const RawNode) -> c_int {
             Err(e) => coupling.lit.lose(step, time, e),
         };
         let said = |error| Failure { said: !matches!(error, Error::Closed(_)), error };
-        pushed.map(|_| 0).map_err(said)
+        pushed.map_err(said)?;
+        // SAFETY: as above.
+        let root = unsafe { Node::root(params) }?;
+        if root.get(SAVE_LIGHT).is_some() {
+            coupling.lit.save_light(Path::new(&root.need_text(SAVE_LIGHT)?))?;
+        }
+        Ok(0)
     })
 }
 

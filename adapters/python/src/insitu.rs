@@ -1,5 +1,6 @@
 //! A running simulation's end: arrays go in, frames and movies come out.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use gloaming::Error;
@@ -19,27 +20,6 @@ pub struct InSitu {
     session: Arc<insitu::InSitu>,
     /// Steps that may wait, where a push then waits for room.
     room: Option<u64>,
-    /// The process that has the session's threads. One that was forked from it has only their memory.
-    process: u32,
-}
-
-impl InSitu {
-    fn session(&self, py: Python<'_>) -> PyResult<Arc<insitu::InSitu>> {
-        if std::process::id() != self.process {
-            let text = "the session belongs to the process that this one was forked from\n  try: to open one here";
-            return Err(raised(py, Error::Closed(text.into())));
-        }
-        Ok(self.session.clone())
-    }
-}
-
-impl Drop for InSitu {
-    fn drop(&mut self) {
-        if std::process::id() != self.process {
-            // Closing would wait for threads that are not here.
-            std::mem::forget(self.session.clone());
-        }
-    }
 }
 
 #[pymethods]
@@ -52,7 +32,7 @@ impl InSitu {
             let room = (scene.insitu.policy == Policy::Block).then_some(scene.insitu.queue as u64);
             Ok((insitu::InSitu::with(scene).open()?, room))
         })?;
-        Ok(InSitu { session: Arc::new(session), room, process: std::process::id() })
+        Ok(InSitu { session: Arc::new(session), room })
     }
 
     /// Copies an array (z, y, x) into the queue, or takes it as it is when it is given: `queued`, `dropped` or `skipped`.
@@ -67,7 +47,7 @@ impl InSitu {
         give: bool,
     ) -> PyResult<&'static str> {
         let block = block(array, spacing, origin).map_err(|e| raised(py, e))?;
-        let session = self.session(py)?;
+        let session = self.session.clone();
         let waiting = session.stats().waiting;
         let push = move || match give {
             true => {
@@ -90,18 +70,24 @@ impl InSitu {
 
     /// Waits until every step so far is lit and written.
     fn flush(&self, py: Python<'_>) -> PyResult<()> {
-        let session = self.session(py)?;
+        let session = self.session.clone();
         patiently(py, move || session.flush())
+    }
+
+    /// Keeps the light of the steps so far in a file.
+    fn save_light(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let session = self.session.clone();
+        patiently(py, move || session.save_light(&path))
     }
 
     /// What has become of the steps, as JSON.
     fn stats(&self, py: Python<'_>) -> PyResult<String> {
-        serde_json::to_string(&self.session(py)?.stats()).map_err(|e| raised(py, Error::Bug(e.to_string())))
+        serde_json::to_string(&self.session.stats()).map_err(|e| raised(py, Error::Bug(e.to_string())))
     }
 
     /// Lights what is still waiting and closes every file.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        let session = self.session(py)?;
+        let session = self.session.clone();
         patiently(py, move || session.close().map(|_| ()))
     }
 }

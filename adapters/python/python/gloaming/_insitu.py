@@ -110,6 +110,17 @@ class InSitu:
         """Waits until every step pushed so far is lit and written."""
         self._native.flush()
 
+    def save_light(self, path: str | os.PathLike[str]) -> None:
+        """Waits until every step pushed so far is lit and written, and keeps their light in a file.
+
+        Call it where the simulation writes a restart file. A run that is restarted from there goes on warm with
+        ``light_state=path``, with the frames that this one makes. The file appears under its name only when it is whole.
+
+        :raises UnsupportedError: No step is lit yet, or the model is ``paper``.
+        :raises ClosedError: The session was closed.
+        """
+        self._native.save_light(path)
+
     @property
     def stats(self) -> Stats:
         """What has become of the steps so far."""
