@@ -12,6 +12,8 @@
  *   GLOAMING_DROPPED), or a positive code when something failed. `error` may be NULL; else it is filled in.
  * - A session that was not opened (NULL) or has been closed is refused with GLOAMING_CLOSED, so that a simulation may
  *   ignore every failure and run on.
+ * - Sessions live in the process that opened the first one. After fork() every function returns GLOAMING_CLOSED to the child
+ *   (gloaming_open: NULL) and waits for nothing; the parent goes on. A program that the child executes may open its own.
  *
  * Made by cbindgen from adapters/c/src: do not edit. */
 
@@ -326,6 +328,18 @@ int32_t gloaming_push_owned(struct gloaming_session *session,
  */
 int32_t gloaming_flush(struct gloaming_session *session,
                        struct gloaming_error *error);
+
+/**
+ * Waits until every step pushed so far is lit and written, and keeps their light in the file at `path`: call it where a restart
+ * file is written. A run that is restarted from there goes on warm when that is its `insitu.light_state`. The file appears under
+ * its name only when it is whole, in the place of an earlier one.
+ *
+ * The caller promises:
+ * `path` is NULL or ends in 0; `error` is NULL or points to a gloaming_error.
+ */
+int32_t gloaming_save_light(struct gloaming_session *session,
+                            const char *path,
+                            struct gloaming_error *error);
 
 /**
  * Tells what has become of the steps so far.

@@ -35,7 +35,7 @@ int main(int argc, char **argv) {
     for (int step = 0; step < 4; step++) {
         if (gloaming_push(lit, step, 0.0, dims, NULL, GLOAMING_F32, a, &error) != GLOAMING_OK) return 1;
         pid_t forked = fork();
-        if (!forked) exit(child(lit, a, argv[1]));
+        if (!forked) _exit(child(lit, a, argv[1]));
         int status;
         if (waitpid(forked, &status, 0) != forked || !WIFEXITED(status) || WEXITSTATUS(status) != 7) {
             fprintf(stderr, "step %d: the child ended with %x\n", step, status);

@@ -318,6 +318,21 @@ fn the_configuration_comes_from_a_script_or_the_environment() {
     assert!(out.join("rank1_frame_010.png").exists());
 }
 
+/// A path in what is executed: the light of the steps so far is in the file when the call returns.
+#[test]
+fn light_is_saved_where_the_simulation_says() {
+    let here = tempfile::tempdir().unwrap();
+    let (script, light) = (here.path().join("scene.toml"), here.path().join("light.h5"));
+    std::fs::write(&script, config(&here.path().join("out"), [0.0, 1.0], "")).unwrap();
+    let run = simulate("global", "checkpoint", &[script.to_str().unwrap()], &[("LIGHT", light.to_str().unwrap())]);
+    // The last one is no path: the step is taken all the same.
+    assert_eq!(run.statuses("catalyst_execute"), [0, 0, 102], "{}", run.errors);
+    assert!(run.errors.contains("catalyst/gloaming/save_light"), "{}", run.errors);
+    let about = gloaming::light_state::LightState::read(&light).unwrap().about;
+    assert_eq!((about.steps, about.last), (2, Some(10)));
+    assert_eq!(run.statuses("catalyst_finalize"), [0], "{}", run.errors);
+}
+
 #[test]
 fn calls_out_of_order_are_told() {
     let here = tempfile::tempdir().unwrap();

@@ -160,6 +160,9 @@ static void step(const char *wanted, int number_of_step) {
     if (scenario(wanted, "listed")) item(append(fetch(root, "catalyst/channels")), "mesh");
     else if (!scenario(wanted, "no_channels")) channel(root, "grid", wanted, number_of_step);
     if (scenario(wanted, "two_channels")) channel(root, "other", wanted, number_of_step);
+    /* Where it would write a restart file. */
+    if (scenario(wanted, "checkpoint") && number_of_step == 1) text(root, "catalyst/gloaming/save_light", getenv("LIGHT"));
+    if (scenario(wanted, "checkpoint") && number_of_step == 2) integer(root, "catalyst/gloaming/save_light", 7);
     call("catalyst_execute", scenario(wanted, "null") ? NULL : root);
     destroy(root);
     memset(end_of_memory - ROOM, 0xff, ROOM);

@@ -212,6 +212,26 @@ except KeyboardInterrupt:
     assert done.stdout == "interrupted\n", done.stderr
 
 
+def test_light_that_was_saved_makes_a_restart_warm(tmp_path):
+    volumes = [volume() for _ in range(4)]
+
+    def starts(first, **insitu):
+        with opened(tmp_path, **insitu) as lit:
+            for step in range(first, 4):
+                lit.push(volumes[step], step)
+                if step == 1:
+                    lit.save_light(tmp_path / "light.h5")
+                    assert (tmp_path / "f_001.png").exists()
+        return [row["start"] for row in rows(tmp_path)], (tmp_path / "f_003.png").read_bytes()
+
+    whole, frame = starts(0)
+    assert whole == ["cold", "warm", "warm", "warm"]
+    assert starts(2, light_state=tmp_path / "light.h5") == (["warm", "warm"], frame)
+    with pytest.raises(gloaming.UnsupportedError):
+        with opened(tmp_path) as lit:
+            lit.save_light(tmp_path / "early.h5")
+
+
 def test_a_forked_process_neither_pushes_nor_hangs(tmp_path):
     program = f"""
 import gloaming, numpy as np, os, sys
