@@ -87,7 +87,7 @@ struct Term {
 @group(0) @binding(10) var<storage, read> light5: array<f32>;
 @group(0) @binding(11) var<storage, read> light6: array<f32>;
 @group(0) @binding(12) var<storage, read> light7: array<f32>;
-// For each pixel radiance, transmittance and number of the next sample.
+// For each pixel radiance, transmittance, number of the next sample, and world length to where it ends.
 @group(0) @binding(13) var<storage, read_write> rays: array<f32>;
 @group(0) @binding(14) var<storage, read> gradient: array<f32>;
 @group(0) @binding(15) var<storage, read> sums: array<Sums>;
@@ -235,9 +235,9 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
     let entries = min(to_low, to_high);
     let exits = max(to_low, to_high);
     let near = max(max(entries.x, entries.y), max(entries.z, 0.0));
-    let reach = min(exits.x, min(exits.y, exits.z)) - near;
+    let ray_state = 8u * (id.y * params.picture.x + id.x);
+    let reach = min(rays[ray_state + 7u], min(exits.x, min(exits.y, exits.z))) - near;
     if !(reach > 0.0) { return; }
-    let ray_state = 7u * (id.y * params.picture.x + id.x);
     let entered = params.eye + near * along;
     let count = u32(ceil(reach / params.step));
     let bricks = (params.size + params.edge - 1u) / params.edge;

@@ -281,7 +281,7 @@ fn eye(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(pixel >= turn.end) { return; }
     let l = line(params.eye, (2.0 * vec2<f32>(pixel) + 1.0) / vec2<f32>(params.picture) - 1.0);
     to_eye = -l.direction;
-    let state = 7u * (pixel.y * params.picture.x + pixel.x);
+    let state = 8u * (pixel.y * params.picture.x + pixel.x);
     var radiance = vec3(rays[state], rays[state + 1u], rays[state + 2u]);
     var through = vec3(rays[state + 3u], rays[state + 4u], rays[state + 5u]);
     for (var k = 0u; k < turn.count; k++) {

@@ -8,6 +8,8 @@
 //! | module | what it holds |
 //! | --- | --- |
 //! | [`error`], [`grid`], [`dtype`], [`field`] | errors by who can act; grids, regions and bricks; types of numbers; timesteps readable by region |
+//! | [`geometry`] | opaque meshes in the volume |
+//! | [`detail`] | noise finer than the data |
 //! | [`transfer`], [`lights`], [`camera`], [`scene`] | what the user describes: the TOML scene file |
 //! | [`device`] | kernels: arithmetic on voxels and rays, on the CPU and as WGSL |
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
@@ -24,6 +26,7 @@
 
 pub mod camera;
 pub mod compare;
+pub mod detail;
 pub mod device;
 pub mod dtype;
 pub mod error;
@@ -31,6 +34,7 @@ pub mod field;
 pub mod frame;
 #[doc(hidden)]
 pub mod fuzz;
+pub mod geometry;
 pub mod grid;
 pub mod insitu;
 pub mod ledger;

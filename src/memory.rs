@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::detail::Detail;
 use crate::device::Device;
 use crate::device::paged::Paged;
 use crate::error::{Error, Result};
@@ -32,6 +33,7 @@ struct Needs {
 
 impl Needs {
     fn new(scene: &Scene, grid: &Grid) -> Result<Self> {
+        let grid = &Detail::grid(&scene.noise, grid);
         let size = |key: f64| SolverKeys::grid_size(key, grid.size).map(|n| n as u64);
         let lights = lights::resolve(scene)?;
         let (direct, solved) = match scene.light.model {
@@ -61,13 +63,15 @@ fn physical(scene: &Scene, lights: &[Light]) -> Result<(u64, u64)> {
     let all_around = |l: &Light| matches!(l, Light::Environment { .. } | Light::Image { .. });
     let sources = (lights.iter().filter(|l| !all_around(l)).count() * factors.len()) as u64;
     // A lamp's light once more with its falloff.
-    let direct = sources + u64::from(lamps(lights));
+    // Opaque things and the medium with them.
+    let opaque = if scene.meshes.is_empty() { 0 } else { 2 };
+    let direct = sources + u64::from(lamps(lights)) + opaque;
     if !scene.light.scattering && !lights.iter().any(all_around) {
         return Ok((direct, 0));
     }
     let channels = if gray(scene, lights)? { 1 } else { 3 };
     let glows = !scene.transfer.emission.is_empty();
-    Ok((direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources))
+    Ok((direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources + opaque))
 }
 
 /// True where a light is in one place.
@@ -138,7 +142,7 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     let shade = if scene.render.shading == Shading::Phong { 2 } else { 0 };
     let [w, h] = scene.render.size.map(|n| n as u64);
     let cells = (data[2] - 1).max(1);
-    let march = (4 + shade) * 2 * (per(data, cells) + per(light, cells) * lights) + 7 * w * h;
+    let march = (4 + shade) * 2 * (per(data, cells) + per(light, cells) * lights) + 8 * w * h;
     let below = per(data, coarse[2]).max(per(light, coarse[2]));
     let coarser = 2 * below + 2 * plane(coarse) + 4 * plane(data).max(plane(light));
     let mut least = march;

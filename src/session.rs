@@ -3,9 +3,11 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::detail::Detail;
 use crate::device::Device;
 use crate::error::{Error, Result};
 use crate::field::Timestep;
+use crate::geometry::Geometry;
 use crate::grid::Grid;
 use crate::ledger::LedgerRow;
 use crate::light::{IlluminatedVolume, LightSolver, LightVolume};
@@ -29,11 +31,17 @@ pub struct Session {
     scene: Scene,
     transfer: TransferFunction,
     lights: Vec<Light>,
+    detail: Option<Detail>,
+    geometry: Option<Arc<Geometry>>,
     renderer: Box<dyn Renderer>,
     range: Option<[f64; 2]>,
     seen: Option<[f64; 2]>,
     wants_light: bool,
     steps: u64,
+    /// The last step that was lit.
+    last: Option<u64>,
+    /// Steps passed over that are later than the light to start from.
+    later: u64,
     state: Option<State>,
     /// Change of the light below which a step is not rendered, and the light of the last that was.
     news: Option<(f64, Option<Arc<IlluminatedVolume>>)>,
@@ -43,6 +51,8 @@ pub struct Session {
 
 /// What is sized by the data's grid, made when the first step arrives.
 struct State {
+    /// The grid that steps come on, without detail.
+    data: Grid,
     medium: Medium,
     solver: LightSolver,
     light: LightVolume,
@@ -51,14 +61,16 @@ struct State {
 }
 
 impl State {
-    fn new(device: &dyn Device, scene: &Scene, transfer: &TransferFunction, grid: Grid) -> Result<Self> {
-        let table = transfer.table([0.0, 1.0], grid.mean_spacing());
+    fn new(device: &dyn Device, scene: &Scene, transfer: &TransferFunction, data: Grid) -> Result<Self> {
+        let table = transfer.table([0.0, 1.0], data.mean_spacing());
+        let grid = Detail::grid(&scene.noise, &data);
         let mut medium = Medium::new(device, grid, table)?;
         // Volumes that are read slab after slab would be read twice.
         if scene.light.warm && !device.pages() {
             medium.remember(device)?;
         }
         Ok(State {
+            data,
             medium,
             solver: LightSolver::new(device, scene, &grid)?,
             light: LightVolume::default(),
@@ -89,6 +101,7 @@ impl Session {
     pub fn new(device: Arc<dyn Device>, scene: Scene, range: Option<[f64; 2]>, wants_light: bool) -> Result<Self> {
         scene.validate()?;
         LightSolver::check(&scene.light)?;
+        let geometry = Geometry::load(&scene.meshes)?.map(Arc::new);
         let range = match scene.field.range {
             RangeKey::Fixed(range) => Some(range),
             RangeKey::Over(RangeOver::Series) => range,
@@ -97,8 +110,12 @@ impl Session {
         Ok(Session {
             transfer: TransferFunction::new(&scene.transfer)?,
             lights: lights::resolve(&scene)?,
-            renderer: render::renderer(&scene)?,
+            detail: Detail::new(&scene.noise),
+            renderer: render::renderer(&scene, geometry.as_ref())?,
+            geometry,
             steps: 0,
+            last: None,
+            later: 0,
             seen: None,
             state: None,
             news: None,
@@ -123,7 +140,7 @@ impl Session {
 
     /// The grid of the steps so far.
     pub fn grid(&self) -> Option<Grid> {
-        self.state.as_ref().map(|state| state.medium.grid)
+        self.state.as_ref().map(|state| state.data)
     }
 
     /// Forgets the light of the steps so far: the next is lit from scratch, and may be on another grid.
@@ -136,9 +153,16 @@ impl Session {
         self.device.pages()
     }
 
-    /// Counts a step that an earlier run has done, so that a camera in orbit stands where it would have stood.
-    pub fn pass_over(&mut self) {
+    /// Counts steps that earlier runs have done, so that a camera in orbit stands where it would have stood.
+    pub fn count_before(&mut self, steps: u64) {
+        self.steps += steps;
+    }
+
+    /// Counts a step, by its number, that an earlier run has done.
+    pub fn pass_over(&mut self, step: u64) {
         self.steps += 1;
+        let last = self.kept.as_ref().and_then(|kept| kept.about.last);
+        self.later += u64::from(last.is_some_and(|last| step > last));
     }
 
     /// What a later session may start from; see [`Session::start_from`].
@@ -146,16 +170,18 @@ impl Session {
     /// # Errors
     /// [`Error::Unsupported`] before the first step, and for the paper's model.
     pub fn light_state(&self) -> Result<LightState> {
-        let none = || Error::Unsupported("keeping light before a step is lit, or with light.model = \"paper\"".into());
-        let state = self.state.as_ref().ok_or_else(none)?;
+        let none = |why: &str| Error::Unsupported(format!("keeping light {why}"));
+        let state = self.state.as_ref().ok_or_else(|| none("before a step is lit"))?;
         let mut volumes = Vec::new();
-        let solver = state.solver.keep(&*self.device, &state.light, &mut volumes)?.ok_or_else(none)?;
+        let solver = state.solver.keep(&*self.device, &state.light, &mut volumes)?;
+        let solver = solver.ok_or_else(|| none("with light.model = \"paper\": \"physical\" can"))?;
         let about = About {
             grid: state.medium.grid,
             light: self.scene.light.clone(),
             lights: self.scene.lights.clone(),
             anisotropy: self.scene.transfer.anisotropy,
             steps: self.steps,
+            last: self.last,
             seen: self.seen,
         };
         Ok(LightState { about, solver, volumes })
@@ -194,14 +220,19 @@ impl Session {
         let mut clock = Clock::start();
         // Pictures of the step before are gone with a step that fails: then nobody knows what changed since.
         let before = std::mem::take(&mut state.kept);
+        // Values in voxels of the data, such as lengths of opacity, stay what they are.
+        let spacing = step.grid.mean_spacing();
+        let detailed = self.detail.as_ref().map(|detail| detail.apply(step));
+        let step = detailed.as_ref().unwrap_or(step);
         let (holes, seen) = state.medium.take(device, step)?;
         let range = self.range.unwrap_or_else(|| running(self.scene.field.range, &mut self.seen, seen));
-        state.medium.classify(self.transfer.table(range, step.grid.mean_spacing()));
+        state.medium.classify(self.transfer.table(range, spacing));
         let classify_ms = clock.lap();
 
         // Surfaces are lit also where their medium is transparent.
         let lit = self.wants_light || self.news.is_some();
-        state.solver.only_visible(!lit && self.scene.render.kind == RenderKind::Raycast);
+        let behind_nothing = self.scene.render.kind == RenderKind::Raycast && self.geometry.is_none();
+        state.solver.only_visible(!lit && behind_nothing);
         state.solver.only_direct(!lit && !self.renderer.needs_scattered_light());
         let solved = match lit || self.renderer.needs_light() {
             true => Some(state.solver.solve(device, &state.medium, &self.lights, &mut state.light)?),
@@ -218,6 +249,7 @@ impl Session {
 
         self.steps += u64::from(shown);
         state.kept = pictures.kept;
+        self.last = Some(step.step);
         let row = LedgerRow {
             step: step.step,
             time: step.time,
@@ -242,10 +274,18 @@ impl Session {
         }
         let device = &*self.device;
         let mut state = State::new(device, &self.scene, &self.transfer, grid)?;
+        if let Some(geometry) = &self.geometry {
+            geometry.check(&grid)?;
+            state.solver.block(device, geometry)?;
+        }
         if let Some(mut kept) = self.kept.take() {
             match state.start_from(device, &self.scene, &self.lights, &mut kept)? {
-                // A run that is taken up again has counted the steps that it passed over.
-                None => (self.steps, self.seen) = (self.steps.max(kept.about.steps), kept.about.seen),
+                // A run that is taken up again has counted the steps that it passed over, those of the run that left the light
+                // among them.
+                None => {
+                    self.steps = self.steps.max(kept.about.steps + self.later);
+                    self.seen = kept.about.seen;
+                }
                 Some(why) => tracing::warn!("the light that was kept is not used, the start is cold: {why}"),
             }
         }

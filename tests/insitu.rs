@@ -586,7 +586,7 @@ fn leaks() {
 }
 
 /// A checkpointed scene: a camera that orbits and a tolerance of its own.
-fn checkpointed_scene(out: &Path, name: &str, tolerance: f64) -> Scene {
+fn checkpointed_scene(out: &Path, name: &str, tolerance: f32) -> Scene {
     let mut scene = scene(out, &[&format!("{name}_{{step:03}}.exr")]);
     scene.insitu.ledger = Some(out.join(format!("{name}.csv")));
     scene.light.tolerance = tolerance;
@@ -652,7 +652,7 @@ fn light_that_was_saved_in_between_outlives_the_process() {
 #[ignore = "run by light_that_was_saved_in_between_outlives_the_process"]
 fn checkpointed() {
     let out = out_of_parent();
-    let tolerance = std::env::var("GLOAMING_TEST_TOLERANCE").unwrap().parse().unwrap();
+    let tolerance: f32 = std::env::var("GLOAMING_TEST_TOLERANCE").unwrap().parse().unwrap();
     let lit = InSitu::with(checkpointed_scene(&out, "cut", tolerance)).open().unwrap();
     for step in 0.. {
         lit.push_owned(owned(step)).unwrap();

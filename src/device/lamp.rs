@@ -59,6 +59,15 @@ impl Lamp {
     /// Points along an edge of such a voxel.
     pub(crate) const PARTS: usize = 4;
 
+    /// Irradiance in vacuum at a world position, for the voxels of `grid`, per unit of radiant intensity.
+    pub fn falloff(&self, grid: &Grid, position: DVec3) -> f32 {
+        let Falloff { floor, axis, outer, slope, .. } = self.on(grid, 1);
+        let d = (position - self.position).as_vec3();
+        let square = d.length_squared();
+        let t = ((d.dot(axis) / square.sqrt().max(f32::MIN_POSITIVE) - outer) * slope).clamp(0.0, 1.0);
+        t * t * (3.0 - 2.0 * t) / square.max(floor)
+    }
+
     /// On a grid of which each voxel stands for `parts`³ points.
     pub(crate) fn on(&self, grid: &Grid, parts: usize) -> Falloff {
         let spacing = DVec3::from(grid.spacing);

@@ -130,11 +130,13 @@ pub struct Ray {
     pub transmittance: [f32; 3],
     /// Number of the next sample.
     pub next: f32,
+    /// World length from the eye to something opaque, where the ray ends.
+    pub end: f32,
 }
 
 impl Ray {
     /// A ray that has not met anything.
-    pub const FRESH: Ray = Ray { radiance: [0.0; 3], transmittance: [1.0; 3], next: 0.0 };
+    pub const FRESH: Ray = Ray { radiance: [0.0; 3], transmittance: [1.0; 3], next: 0.0, end: f32::MAX };
 
     /// What the ray has gathered: radiance and coverage.
     pub fn pixel(&self) -> [f32; 4] {

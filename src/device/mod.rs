@@ -14,6 +14,7 @@ use crate::transfer::Table;
 use convection::{Convected, Convection, Layers};
 use surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 
+mod behind;
 mod buffer;
 pub mod convection;
 pub mod cpu;
@@ -31,6 +32,7 @@ pub mod slices;
 pub mod surface;
 mod sweep;
 
+pub use behind::Behind;
 pub use buffer::Buffer;
 pub(crate) use buffer::Storage;
 pub(crate) use lamp::Falloff;
@@ -391,6 +393,25 @@ pub trait Device: Send + Sync {
     fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
         let _ = (surfaces, term, hits, sums);
         Err(no_surfaces(self.name()))
+    }
+
+    /// Ray casting up to what is opaque, one for each pixel of `frame`: see [`March`] and [`Behind`]. Where there is nothing opaque, the
+    /// pixel is that of [`Device::march`] to the bit.
+    fn march_before(&self, march: &March, behind: &[Behind], frame: &mut Frame) -> Result<()> {
+        assert_eq!(behind.len(), frame.pixels.len(), "one for each pixel");
+        let mut rays: Vec<Ray> = behind.iter().map(Behind::ray).collect();
+        self.march_slab(march, &Part::whole(march), frame.size, &mut rays)?;
+        let pixels = behind.iter().zip(&rays).map(|(behind, ray)| behind.pixel(ray));
+        frame.pixels.iter_mut().zip(pixels).for_each(|(to, pixel)| *to = pixel);
+        Ok(())
+    }
+
+    /// The values of a volume of `size` at points in its index space, trilinear, clamped to the outermost values.
+    fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
+        let mut host = vec![0.0; size.iter().product()];
+        self.download(values, &mut host)?;
+        cpu::sample::sample(size, &host, points, out);
+        Ok(())
     }
 }
 

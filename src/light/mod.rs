@@ -9,6 +9,7 @@
 
 use crate::device::{Cone, Device, Lamp, Term, Weight};
 use crate::error::{Error, Result};
+use crate::geometry::Geometry;
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
 use crate::medium::Medium;
@@ -141,6 +142,17 @@ impl LightSolver {
         match &mut self.0 {
             Solver::Physical(solver) => solver.solve(device, medium, lights, &mut volume.physical),
             Solver::Paper(solver) => solver.solve(device, medium, lights, &mut volume.paper),
+        }
+    }
+
+    /// Has opaque things block the light: their voxels of the light grids let nothing through. Before the first solve.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] for the paper's model, and on devices that page.
+    pub fn block(&mut self, device: &dyn Device, geometry: &Geometry) -> Result<()> {
+        match &mut self.0 {
+            Solver::Physical(solver) => solver.block(device, geometry),
+            Solver::Paper(_) => Err(Error::Unsupported("opaque things with light.model = \"paper\"".into())),
         }
     }
 

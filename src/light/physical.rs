@@ -8,7 +8,8 @@ use super::direct::{Direct, Rays};
 use super::ordinates::{KeptChannel, ScatterProblem, Scattered, cells};
 use super::{IlluminatedVolume, SolveReport, Touched};
 use crate::device::{Buffer, Device, Lamp, Optic, Term, Travel, Weight};
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::geometry::Geometry;
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::{Cell, Light};
 use crate::medium::Medium;
@@ -108,7 +109,18 @@ pub(super) struct Physical {
     optics: Option<Optics>,
     /// Irradiance of a lamp on the grid of direct light.
     lit: Option<Buffer>,
+    /// What is opaque beside the medium.
+    opaque: Option<Opaque>,
 }
+
+/// Extinction of opaque things, on the grids of direct and of scattered light, and room to add it to the medium's.
+struct Opaque {
+    fine: [Buffer; 2],
+    coarse: [Buffer; 2],
+}
+
+/// Optical depth of a voxel that something opaque fills.
+const OPAQUE: f64 = 40.0;
 
 /// What is known of light that is kept in a file, besides its volumes.
 #[derive(Serialize, Deserialize)]
@@ -144,6 +156,7 @@ impl Physical {
             only_direct: false,
             optics: None,
             lit: None,
+            opaque: None,
             keys,
             grid,
             coarse,
@@ -165,6 +178,10 @@ impl Physical {
         let f = if self.keys.scattering { self.anisotropy * self.anisotropy } else { 0.0 };
         let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
         medium.property(device, optic, self.grid.size, now)?;
+        if let Some(Opaque { fine: [things, sum], .. }) = &mut self.opaque {
+            device.combine(&[(now, 1.0), (things, 1.0)], sum)?;
+            std::mem::swap(now, sum);
+        }
         let warm = self.keys.warm && std::mem::replace(&mut self.solved, false) && volume.grid == Some(self.grid);
         let change = if warm {
             report.voxel_updates += self.grid.len() as u64;
@@ -209,6 +226,24 @@ impl Physical {
     /// See [`super::LightSolver::only_direct`].
     pub(super) fn only_direct(&mut self, only: bool) {
         self.only_direct = only;
+    }
+
+    /// See [`super::LightSolver::block`].
+    pub(super) fn block(&mut self, device: &dyn Device, geometry: &Geometry) -> Result<()> {
+        if device.pages() {
+            let what = "[[meshes]] in volumes that do not fit into memory\n  try: a larger --memory, or --preview";
+            return Err(Error::Unsupported(what.into()));
+        }
+        let on = |grid: &Grid| -> Result<[Buffer; 2]> {
+            let least = grid.spacing.iter().copied().fold(f64::INFINITY, f64::min);
+            let extinction = (OPAQUE / least) as f32;
+            let values: Vec<f32> = geometry.blocked(grid).into_iter().map(|b| b * extinction).collect();
+            let mut things = device.alloc(grid.len())?;
+            device.upload(&values, &mut things)?;
+            Ok([things, device.alloc(grid.len())?])
+        };
+        self.opaque = Some(Opaque { fine: on(&self.grid)?, coarse: on(&self.coarse)? });
+        Ok(())
     }
 
     /// See [`super::LightSolver::only_visible`].
@@ -435,6 +470,10 @@ impl Physical {
         wanted.extend(scattering.iter_mut().enumerate().map(|(channel, out)| (Optic::Scattering { channel }, out)));
         wanted.extend(emission.iter_mut().enumerate().map(|(channel, out)| (Optic::Emission { channel }, out)));
         medium.properties(device, &mut wanted, self.coarse.size)?;
+        if let Some(Opaque { coarse: [things, sum], .. }) = &mut self.opaque {
+            device.combine(&[(&optics.sigma, 1.0), (things, 1.0)], sum)?;
+            std::mem::swap(&mut optics.sigma, sum);
+        }
         for ((source, direct), out) in volume.direct.iter().zip(&mut optics.first) {
             let fine = match (&source.lamp, &mut self.lit) {
                 (Some(lamp), Some(lit)) => {

@@ -1,9 +1,12 @@
 //! Renderers: from a lit volume to a frame. A renderer is one file here and one `match` arm.
 
+use std::sync::Arc;
+
 use crate::camera::Camera;
 use crate::device::Device;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
+use crate::geometry::Geometry;
 use crate::light::LightVolume;
 use crate::medium::Medium;
 use crate::scene::{RenderKind, Scene};
@@ -14,6 +17,7 @@ pub mod isosurface;
 mod raycast;
 pub mod reuse;
 mod slices;
+mod surfaces;
 
 pub use isosurface::Isosurface;
 pub use raycast::Raycast;
@@ -62,10 +66,14 @@ pub trait Renderer: Send {
     }
 }
 
-/// The renderer that a scene asks for.
-pub fn renderer(scene: &Scene) -> Result<Box<dyn Renderer>> {
+/// The renderer that a scene asks for, with what is opaque in it.
+pub fn renderer(scene: &Scene, geometry: Option<&Arc<Geometry>>) -> Result<Box<dyn Renderer>> {
+    if geometry.is_some() && scene.render.kind != RenderKind::Raycast {
+        let kind = scene.render.kind;
+        return Err(Error::Unsupported(format!("[[meshes]] with render.kind = {kind:?}\n  try: \"raycast\"")));
+    }
     match scene.render.kind {
-        RenderKind::Raycast => Ok(Box::new(Raycast::new(scene))),
+        RenderKind::Raycast => Ok(Box::new(Raycast::new(scene, geometry.cloned()))),
         RenderKind::Slices => Ok(Box::new(HalfAngle::new(scene)?)),
         RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene)?)),
         RenderKind::Pathtrace => Err(Error::Unsupported("render.kind = \"pathtrace\" in this version".into())),

@@ -1,9 +1,13 @@
 //! Ray casting lit by the light volume: one extra fetch per sample (Zhang & Ma 2013, section 4).
 
+use std::sync::Arc;
+
+use super::surfaces::Surfaces;
 use crate::camera::Camera;
 use crate::device::{Device, March, Phong};
 use crate::error::Result;
 use crate::frame::Frame;
+use crate::geometry::Geometry;
 use crate::grid::Grid;
 use crate::light::LightVolume;
 use crate::lights::Light;
@@ -14,12 +18,13 @@ use crate::scene::{RenderKeys, Scene, Shading};
 /// Ray casting.
 pub struct Raycast {
     keys: RenderKeys,
+    surfaces: Option<Surfaces>,
 }
 
 impl Raycast {
-    /// Ray casting as `scene.render` says.
-    pub fn new(scene: &Scene) -> Self {
-        Raycast { keys: scene.render.clone() }
+    /// Ray casting as `scene.render` says, up to what is opaque.
+    pub fn new(scene: &Scene, geometry: Option<Arc<Geometry>>) -> Self {
+        Raycast { keys: scene.render.clone(), surfaces: geometry.map(Surfaces::new) }
     }
 }
 
@@ -67,7 +72,8 @@ impl Renderer for Raycast {
     }
 
     fn keeps_tiles(&self) -> bool {
-        true
+        // Light on a surface is not that of the bricks that its pixel sees.
+        self.surfaces.is_none()
     }
 }
 
@@ -94,6 +100,10 @@ impl Raycast {
             camera,
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };
+        if let Some(surfaces) = &self.surfaces {
+            let behind = surfaces.seen(device, &medium.grid, &terms, camera, frame.size)?;
+            return device.march_before(&march, &behind, frame);
+        }
         match tiles {
             Some(tiles) => device.march_tiles(&march, tiles, frame),
             None => device.march(&march, frame),

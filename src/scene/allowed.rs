@@ -6,6 +6,15 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("field.range", "\"series\", \"step\", or [lo, hi] with lo < hi"),
     ("field.component", "\"magnitude\", \"x\", \"y\", \"z\", or an index from 0"),
     ("field.level", "a level of refinement from 0, the coarsest"),
+    ("noise.amplitude", "a fraction of the value, 0 or more"),
+    ("noise.about", "a value, finite"),
+    ("noise.warp", "a length in voxels from 0 to 64"),
+    ("noise.scale", "a length in voxels above 0"),
+    ("noise.octaves", "an integer from 1 to 16"),
+    ("noise.gain", "a number from 0 to 1"),
+    ("noise.drift", "[x, y, z], world lengths per unit of time, finite"),
+    ("noise.refine", "an integer from 1 to 8"),
+    ("noise.seed", "an integer, 0 or more"),
     ("transfer.colormap", "the name of a colour map"),
     ("transfer.points", "[[value, red, green, blue], …], all 0 to 1, values in ascending order"),
     ("transfer.opacity", "[[value, opacity], …], both 0 to 1, values in ascending order"),
@@ -46,6 +55,11 @@ pub(super) const KEYS: &[(&str, &str)] = &[
         "the path of an OpenEXR, Radiance HDR or PNG image: equirectangular, of an environment, or of a texture \"bitmap\"",
     ),
     ("lights.gradient", "[bottom, horizon, top], colours of three finite numbers, 0 or more, and no image beside it"),
+    ("meshes.path", "the path of a .obj, .stl or .ply file"),
+    ("meshes.color", "[red, green, blue], each 0 to 1"),
+    ("meshes.scale", "a factor above 0"),
+    ("meshes.rotate", "[x, y, z] in degrees, finite"),
+    ("meshes.position", "[x, y, z], finite"),
     ("light.model", "\"physical\" or \"paper\""),
     ("light.resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
     ("light.direct_resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
@@ -135,10 +149,12 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("insitu.light_change", "a fraction of the brightest light, above 0"),
     ("insitu.resume", "true or false"),
     ("insitu.light_state", "the path of a file"),
+    ("insitu.light_state_every", "an integer, 1 or more; insitu.light_state names the file"),
+    ("insitu.steps_before", "an integer, 0 or more"),
 ];
 
 /// The tables that are lists of tables.
-pub(super) const LISTS: [&str; 2] = ["lights", "cameras"];
+pub(super) const LISTS: [&str; 3] = ["lights", "cameras", "meshes"];
 
 /// What a key may be; `lights.2.color` is looked up as `lights.color`.
 pub(super) fn allowed(key: &str) -> &'static str {

@@ -9,8 +9,8 @@ use toml::{Table, Value};
 
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
 use super::{
-    CameraKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MovieKeys, PathtraceKeys, RenderKeys, Scene,
-    SlicesKeys, SolverKeys, TransferKeys,
+    CameraKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MeshKeys, MovieKeys, NoiseKeys, PathtraceKeys,
+    RenderKeys, Scene, SlicesKeys, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 
@@ -142,8 +142,10 @@ impl Document {
         }
         Ok(Scene {
             field: self.table::<FieldKeys>("field")?,
+            noise: self.table::<NoiseKeys>("noise")?,
             transfer: self.table::<TransferKeys>("transfer")?,
             lights: self.list::<LightKeys>("lights")?,
+            meshes: self.list::<MeshKeys>("meshes")?,
             light: self.table::<SolverKeys>("light")?,
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,

@@ -10,6 +10,8 @@ mod area;
 mod insitu;
 mod isosurface;
 mod load;
+mod meshes;
+mod noise;
 mod pathtrace;
 mod regions;
 mod slices;
@@ -22,6 +24,8 @@ pub use isosurface::{
     AttenuationBy, AttenuationKey, BeautyKey, Blend, EstimatorKey, IsosurfaceKeys, OcclusionKey, PerSurface,
     PerSurfaceRgb, Quality, SssKey, SurfaceLight, ValueUnits,
 };
+pub use meshes::MeshKeys;
+pub use noise::NoiseKeys;
 pub use pathtrace::{Denoise, PathtraceKeys};
 pub use regions::{RegionKeys, Shape};
 pub use slices::SlicesKeys;
@@ -32,10 +36,14 @@ pub use slices::SlicesKeys;
 pub struct Scene {
     /// Which field, and the range of its values.
     pub field: FieldKeys,
+    /// Detail finer than the data.
+    pub noise: NoiseKeys,
     /// How values become optical properties.
     pub transfer: TransferKeys,
     /// The light sources; none given means a key light, a weaker fill and a dim environment.
     pub lights: Vec<LightKeys>,
+    /// Opaque things in the volume.
+    pub meshes: Vec<MeshKeys>,
     /// How light is solved.
     pub light: SolverKeys,
     /// The cameras; none given means one that frames the volume.

@@ -5,8 +5,9 @@ use std::fmt::Debug;
 use super::allowed::allowed;
 use super::area;
 use super::{
-    CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, Model, MovieKeys, PathtraceKeys,
-    RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind, TransferKeys,
+    CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, MeshKeys, Model, MovieKeys,
+    NoiseKeys, PathtraceKeys, RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind,
+    TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -40,8 +41,15 @@ impl Scene {
     /// do ([`Error::Unsupported`], naming what works).
     pub fn validate(&self) -> Result<()> {
         field(&self.field)?;
+        noise(&self.noise)?;
         transfer(&self.transfer)?;
         self.lights.iter().enumerate().try_for_each(|(i, keys)| light(i, keys))?;
+        self.meshes.iter().enumerate().try_for_each(|(i, keys)| mesh(i, keys))?;
+        if !self.meshes.is_empty() && self.light.model == Model::Paper {
+            return Err(Error::Unsupported(
+                "[[meshes]] in the paper's model\n  try: light.model = \"physical\"".into(),
+            ));
+        }
         if self.light.model == Model::Paper && self.transfer.chromatic.iter().any(|k| *k != self.transfer.chromatic[0])
         {
             return Err(Error::Unsupported(format!(
@@ -255,11 +263,34 @@ fn movie(keys: &MovieKeys) -> Result<()> {
     require(keys.quality <= 51, "movie.quality", keys.quality)
 }
 
+fn mesh(i: usize, keys: &MeshKeys) -> Result<()> {
+    let key = |name: &str| format!("meshes.{i}.{name}");
+    require(!keys.path.as_os_str().is_empty(), &key("path"), &keys.path)?;
+    require(keys.color.into_iter().all(unit), &key("color"), keys.color)?;
+    require(keys.scale > 0.0 && keys.scale.is_finite(), &key("scale"), keys.scale)?;
+    require(finite3(keys.rotate), &key("rotate"), keys.rotate)?;
+    require(finite3(keys.position), &key("position"), keys.position)
+}
+
+fn noise(keys: &NoiseKeys) -> Result<()> {
+    let from_zero = |v: f64| v >= 0.0 && v.is_finite();
+    require(from_zero(keys.amplitude), "noise.amplitude", keys.amplitude)?;
+    require(keys.about.is_finite(), "noise.about", keys.about)?;
+    require((0.0..=64.0).contains(&keys.warp), "noise.warp", keys.warp)?;
+    require(from_zero(keys.scale) && keys.scale > 0.0, "noise.scale", keys.scale)?;
+    require((1..=16).contains(&keys.octaves), "noise.octaves", keys.octaves)?;
+    require((0.0..=1.0).contains(&keys.gain), "noise.gain", keys.gain)?;
+    require(finite3(keys.drift), "noise.drift", keys.drift)?;
+    require((1..=8).contains(&keys.refine), "noise.refine", keys.refine)
+}
+
 fn insitu(keys: &InSituKeys) -> Result<()> {
     require(keys.threads <= 4096, "insitu.threads", keys.threads)?;
     require(keys.cores.iter().all(|c| *c < 1024), "insitu.cores", &keys.cores)?;
     require((1..=1024).contains(&keys.queue), "insitu.queue", keys.queue)?;
     require(keys.every > 0, "insitu.every", keys.every)?;
+    let often = keys.light_state_every.is_none_or(|n| n > 0 && keys.light_state.is_some());
+    require(often, "insitu.light_state_every", keys.light_state_every.unwrap_or(0))?;
     let above_zero = |v: f64| v > 0.0 && v.is_finite();
     require(keys.every_time.is_none_or(above_zero), "insitu.every_time", keys.every_time)?;
     require(keys.light_change.is_none_or(above_zero), "insitu.light_change", keys.light_change)

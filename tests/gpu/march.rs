@@ -2,7 +2,7 @@
 
 use gloaming::BrickLayout;
 use gloaming::camera::Camera;
-use gloaming::device::{Cone, Lamp, March, Phong, Term, Weight};
+use gloaming::device::{Behind, Cone, Lamp, March, Phong, Term, Weight};
 use gloaming::field::EMPTY;
 use gloaming::frame::Frame;
 
@@ -143,4 +143,46 @@ fn listed_tiles_are_those_of_the_whole_picture() {
         d.march_tiles(&march, &[], &mut some).unwrap();
         assert_eq!(some, before);
     }
+}
+
+/// Rays that end at something opaque, before the volume, in it, behind it, or nowhere: the same pixels, and where there is nothing those
+/// of the whole picture to the bit.
+#[test]
+fn rays_end_alike() {
+    let size = [61, 43];
+    let behind: Vec<Behind> = noise(77, 61 * 43)
+        .into_iter()
+        .enumerate()
+        .map(|(i, v)| if i % 3 == 0 { Behind::NOTHING } else { Behind { end: 0.5 + 6.0 * v, radiance: [v, 1.0, 2.0] } })
+        .collect();
+    let [want, got] = both(|d| {
+        let (grid, field) = (anisotropic(), upload(d, &blobs(ODD)));
+        let values = upload(d, &noise(40, grid.len()));
+        let terms = [Term { values: &values, grid: &grid, weight: phase([0.3, -0.5, -0.8], 0.6) }];
+        let table = table();
+        let march = March {
+            grid: &grid,
+            field: &field,
+            gradient: None,
+            table: &table,
+            bricks: BrickLayout::new(ODD, 8),
+            majorant: &[],
+            terms: &terms,
+            phong: None,
+            camera: &cameras()[0],
+            step: 0.011,
+        };
+        let (mut whole, mut ends) = (Frame::new(size), Frame::new(size));
+        d.march(&march, &mut whole).unwrap();
+        d.march_before(&march, &behind, &mut ends).unwrap();
+        for (i, (end, whole)) in ends.pixels.iter().zip(&whole.pixels).enumerate() {
+            if i % 3 == 0 {
+                assert_eq!(end, whole, "pixel {i} on {}", d.name());
+            } else {
+                assert_eq!(end[3], 1.0);
+            }
+        }
+        ends.pixels
+    });
+    assert_close(want.as_flattened(), got.as_flattened(), 2e-5, "rays that end");
 }

@@ -136,3 +136,23 @@ fn extensions_agree() {
     assert!(faint(&want).iter().any(|v| *v > 0.0));
     assert_close(&faint(&want), &faint(&got), 1e-5, "continued");
 }
+
+/// Points inside, in the rim and far outside, also of volumes of one plane.
+#[test]
+fn samples_agree() {
+    for size in [ODD, [1, 7, 5], [9, 1, 1]] {
+        let values = noise(3, size.iter().product());
+        let points: Vec<[f32; 3]> = noise(4, 3 * 1000)
+            .chunks_exact(3)
+            .map(|p| std::array::from_fn(|a| (1.4 * p[a] - 0.2) * size[a] as f32))
+            .chain([[0.0; 3], [1e9, -1e9, 0.5], size.map(|n| (n - 1) as f32)])
+            .collect();
+        let [want, got] = both(|d| {
+            let mut out = vec![0.0; points.len()];
+            d.sample(size, &upload(d, &values), &points, &mut out).unwrap();
+            out
+        });
+        assert_eq!(want[1002], values[values.len() - 1], "the last value at its place");
+        assert_close(&want, &got, 1e-5, &format!("{size:?}"));
+    }
+}

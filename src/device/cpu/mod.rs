@@ -27,6 +27,7 @@ pub(crate) mod gradient;
 mod irradiate;
 pub mod march;
 mod relax;
+pub(crate) mod sample;
 mod shared;
 pub mod simd;
 pub mod slices;
@@ -280,6 +281,11 @@ impl Device for Cpu {
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
         self.pool.install(|| march::march(march, frame));
+        Ok(())
+    }
+
+    fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
+        self.pool.install(|| sample::sample(size, host(values), points, out));
         Ok(())
     }
 

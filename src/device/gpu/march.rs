@@ -65,7 +65,7 @@ struct TermParams {
 
 pub(super) fn march(gpu: &Gpu, march: &March, frame: &mut Frame) -> Result<()> {
     let mut rays = vec![Ray::FRESH; frame.pixels.len()];
-    march_slab(gpu, march, &whole(march), frame.size, &mut rays)?;
+    march_slab(gpu, march, &Part::whole(march), frame.size, &mut rays)?;
     frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
     Ok(())
 }
@@ -78,16 +78,10 @@ pub(super) fn march_tiles(gpu: &Gpu, march: &March, tiles: &[u32], frame: &mut F
     let listed = |pixel: usize| listed[pixel / width / March::TILE * across + pixel % width / March::TILE];
     let spent = Ray { transmittance: [0.0; 3], ..Ray::FRESH };
     let mut rays: Vec<Ray> = (0..frame.pixels.len()).map(|p| if listed(p) { Ray::FRESH } else { spent }).collect();
-    march_slab(gpu, march, &whole(march), frame.size, &mut rays)?;
+    march_slab(gpu, march, &Part::whole(march), frame.size, &mut rays)?;
     let pixels = frame.pixels.iter_mut().zip(&rays).enumerate().filter(|(p, _)| listed(*p));
     pixels.for_each(|(_, (pixel, ray))| *pixel = ray.pixel());
     Ok(())
-}
-
-/// The whole volume as one slab.
-fn whole(march: &March) -> Part {
-    let planes = march.grid.size[2];
-    Part { cells: 0..planes, field: 0..planes, terms: march.terms.iter().map(|t| 0..t.grid.size[2]).collect() }
 }
 
 pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {

@@ -30,6 +30,7 @@ mod irradiate;
 mod march;
 mod matter;
 mod relax;
+mod sample;
 pub mod shader;
 mod slices;
 mod source;
@@ -498,6 +499,10 @@ impl Device for Gpu {
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
         compose::compose(self, terms, out)
+    }
+
+    fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
+        sample::sample(self, size, values, points, out)
     }
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {

@@ -10,8 +10,8 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, diffuse, extend, gradient, irradiate, march, relax, slices, source, surface, sweep,
-    sweep_point, transport,
+    bricks, classify, convect, diffuse, extend, gradient, irradiate, march, relax, sample, slices, source, surface,
+    sweep, sweep_point, transport,
 };
 use crate::error::{Error, Result};
 
@@ -75,6 +75,8 @@ pub static COMBINE: Shader = shader!("combine", ["grid"], None);
 pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params>());
 /// See `shaders/compose.wgsl`.
 pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
+/// See `shaders/sample.wgsl`.
+pub static SAMPLE: Shader = shader!("sample", ["grid"], size_of::<sample::Params>());
 /// See `shaders/march.wgsl`.
 pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp", "matter"], size_of::<march::Params>());
 /// See `shaders/gradient.wgsl`.
@@ -114,6 +116,7 @@ pub fn shaders() -> Vec<&'static Shader> {
         &COMBINE,
         &EXTEND,
         &COMPOSE,
+        &SAMPLE,
         &MARCH,
         &GRADIENT,
         &SLICE,

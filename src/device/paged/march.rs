@@ -15,9 +15,16 @@ use crate::frame::Frame;
 impl Paged {
     /// See [`Device::march`](crate::device::Device::march).
     pub(super) fn march_slabs(&self, march: &March, frame: &mut Frame) -> Result<()> {
+        let mut rays = vec![Ray::FRESH; frame.pixels.len()];
+        self.march_rays(march, frame.size, &mut rays)?;
+        frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
+        Ok(())
+    }
+
+    /// Carries the rays of a picture through all slabs.
+    pub(super) fn march_rays(&self, march: &March, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
         let size = march.grid.size;
-        if march.grid.is_empty() || frame.pixels.is_empty() {
-            frame.pixels.fill([0.0; 4]);
+        if march.grid.is_empty() || rays.is_empty() {
             return Ok(());
         }
         let (data, cells) = (store(march.field), (size[2] - 1).max(1));
@@ -28,9 +35,9 @@ impl Paged {
         let volumes = || std::iter::once((data, size)).chain(lit.clone().filter(|(s, _)| !is_near(s)));
         let each: f64 = volumes().map(|(s, size)| Feed::weight(s, size, cells)).sum();
         let shade = usize::from(march.phong.is_some());
-        let rays = (frame.pixels.len() * size_of::<Ray>() / 4) as f64;
+        let held_by_rays = size_of_val(rays) as f64 / 4.0;
         // Planes beyond the cells: one above, with shading one more on both sides, and of light two for rounding.
-        let depth = self.depth(cells, each, (3.0 + 2.0 * shade as f64) * each + rays)?;
+        let depth = self.depth(cells, each, (3.0 + 2.0 * shade as f64) * each + held_by_rays)?;
         let order = outward(slabs(cells, depth), eye(march));
         let order: Vec<Range<usize>> = order.into_iter().filter(|slab| visible(march, slab)).collect();
 
@@ -52,7 +59,6 @@ impl Paged {
             };
             feeds.push(Feed { store: store(term.values), size: of, planes });
         }
-        let mut rays = vec![Ray::FRESH; frame.pixels.len()];
         self.stream(&feeds, |n, volumes| {
             let terms: Vec<Term> = march
                 .terms
@@ -66,10 +72,8 @@ impl Paged {
                 terms: feeds[1..].iter().map(|f| f.planes[n].clone()).collect(),
             };
             let march = March { field: volumes[0], terms: &terms, ..*march };
-            self.inner.march_slab(&march, &part, frame.size, &mut rays)
-        })?;
-        frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
-        Ok(())
+            self.inner.march_slab(&march, &part, picture, rays)
+        })
     }
 }
 

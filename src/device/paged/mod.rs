@@ -17,7 +17,7 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport, cpu,
+    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport, cpu,
 };
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -605,6 +605,18 @@ impl Device for Paged {
     fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
         let term = Term { values: self.near(term.values)?, ..*term };
         self.within(surfaces, |s| self.inner.surface_light(s, &term, hits, sums))
+    }
+
+    fn march_before(&self, march: &March, behind: &[Behind], frame: &mut Frame) -> Result<()> {
+        let mut rays: Vec<Ray> = behind.iter().map(Behind::ray).collect();
+        self.march_rays(march, frame.size, &mut rays)?;
+        let pixels = behind.iter().zip(&rays).map(|(behind, ray)| behind.pixel(ray));
+        frame.pixels.iter_mut().zip(pixels).for_each(|(to, pixel)| *to = pixel);
+        Ok(())
+    }
+
+    fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
+        self.inner.sample(size, self.near(values)?, points, out)
     }
 }
 /// Gradients reach beyond the slabs that are held.

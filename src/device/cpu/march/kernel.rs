@@ -59,7 +59,7 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
                 through: three!(c => V::from_fn(|l| rays[ray(l)].transmittance[c])),
                 next: V::from_fn(|l| rays[ray(l)].next),
             };
-            packet(plan, at, &mut weights, &mut state);
+            packet(plan, at, &mut weights, V::from_fn(|l| rays[ray(l)].end), &mut state);
             let [r, g, b] = state.radiance;
             let [t0, t1, t2] = state.through;
             for (value, lanes) in [r, g, b, t0, t1, t2, state.next].into_iter().zip(&mut lanes) {
@@ -67,7 +67,7 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
             }
             for l in 0..w * h {
                 let [r, g, b, t0, t1, t2, next] = std::array::from_fn(|c| lanes[c][l]);
-                rays[ray(l)] = Ray { radiance: [r, g, b], transmittance: [t0, t1, t2], next };
+                rays[ray(l)] = Ray { radiance: [r, g, b], transmittance: [t0, t1, t2], next, ..rays[ray(l)] };
             }
         }
     }
@@ -104,7 +104,7 @@ struct Rays<V> {
 
 impl<V: Lanes> Rays<V> {
     #[inline(always)]
-    fn new(plan: &Plan, at: [usize; 2]) -> Self {
+    fn new(plan: &Plan, at: [usize; 2], end: V) -> Self {
         let [w, _] = V::SHAPE;
         let [width, height] = plan.picture.map(|n| V::splat(n as f32));
         let (one, two, half) = (V::splat(1.0), V::splat(2.0), V::splat(0.5));
@@ -117,7 +117,7 @@ impl<V: Lanes> Rays<V> {
         let slope = three!(a => direction[a] * V::splat(plan.matter.per_length[a]));
 
         // Slabs. A component of nearly 0 counts as barely positive: neither 0/0 nor ∞·0 can arise.
-        let (mut near, mut far) = (V::splat(0.0), V::splat(f32::MAX));
+        let (mut near, mut far) = (V::splat(0.0), end);
         for (a, &slope) in slope.iter().enumerate() {
             let inverse = V::splat(1.0) / Self::nonzero(slope);
             let below = (V::splat(-0.5) - V::splat(plan.eye[a])) * inverse;
@@ -495,12 +495,12 @@ fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> 
 
 /// Carries a packet of rays on.
 #[inline(always)]
-fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], state: &mut State<V>) {
+fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V, state: &mut State<V>) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let State { mut radiance, mut through, next: mut n } = *state;
     // Of the channel that dims least, where channels differ; `through` is of each then.
     let mut transmittance = through[0].max(through[1]).max(through[2]);
-    let rays = Rays::<V>::new(plan, at);
+    let rays = Rays::<V>::new(plan, at, end);
     let mut live = zero.lt(rays.length) & V::splat(March::OPAQUE).lt(transmittance);
     // Where rays leave the window; nowhere so far.
     let mut left = V::splat(-1.0);
