@@ -127,7 +127,7 @@ fn the_tree_agrees_with_brute_force() {
     let tree = RTree::bulk_load(triangles.iter().map(copy).collect());
     let geometry = Geometry { triangles: tree, colors: vec![[1.0; 3]], bounds: vec![(DVec3::ZERO, DVec3::ONE)] };
     let mut met = 0;
-    for _ in 0..500 {
+    for _ in 0..2000 {
         let (origin, direction) = (3.0 * point() - 1.0, point() - point());
         let all = triangles.iter().filter_map(|t| t.meets(origin, direction)).filter(|t| *t > 0.0);
         let nearest = all.fold(f64::INFINITY, f64::min);
