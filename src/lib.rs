@@ -20,6 +20,7 @@
 //! | [`insitu`] | a running simulation that hands over its steps |
 //! | [`preview`] | a series seen through means over blocks of its voxels |
 //! | [`memory`] | what a run takes, and volumes larger than that |
+//! | [`histogram`] | how often values and gradients occur, to design transfer functions by |
 //! | [`savings`] | what the warm start saves, measured |
 //!
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
@@ -36,6 +37,7 @@ pub mod frame;
 pub mod fuzz;
 pub mod geometry;
 pub mod grid;
+pub mod histogram;
 pub mod insitu;
 pub mod ledger;
 pub mod light;

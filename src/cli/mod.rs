@@ -13,6 +13,7 @@ mod compare;
 mod composite;
 mod demo;
 mod devices;
+mod histogram;
 mod info;
 mod parse;
 mod progress;
@@ -44,6 +45,7 @@ enum Command {
     Render(Box<render::RenderArgs>),
     Info(InfoArgs),
     Savings(Box<savings::SavingsArgs>),
+    Histogram(Box<histogram::HistogramArgs>),
     Compare(compare::CompareArgs),
     Composite(composite::CompositeArgs),
     Demo(demo::DemoArgs),
@@ -125,6 +127,7 @@ pub fn main() -> ExitCode {
         Command::Render(args) => render::run(*args, cli.loudness.quiet, bars),
         Command::Info(args) => info::run(&args.series.spec(), args.stats, args.probe, args.json).map(|()| Done::Whole),
         Command::Savings(args) => savings::run(*args, cli.loudness.quiet, &bars),
+        Command::Histogram(args) => histogram::run(*args),
         Command::Compare(args) => compare::run(&args).map(|()| Done::Whole),
         Command::Composite(args) => composite::run(&args).map(|()| Done::Whole),
         Command::Demo(args) => demo::run(&args, cli.loudness.quiet, &bars),

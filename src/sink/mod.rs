@@ -24,7 +24,7 @@ use crate::scene::{Overlay, Scene};
 
 pub mod exr;
 mod mp4;
-mod overlay;
+pub(crate) mod overlay;
 mod png;
 mod raw;
 pub(crate) mod template;

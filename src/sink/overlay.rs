@@ -9,8 +9,9 @@ use crate::scene::Overlay;
 mod ink;
 mod ticks;
 
-use ink::{Face, Ink};
-use ticks::{Ticks, significant};
+pub(crate) use ink::{Face, Ink};
+pub(crate) use ticks::Ticks;
+use ticks::significant;
 
 /// Draws the overlays that the options ask for.
 pub(super) fn draw(picture: &mut RgbImage, options: &SinkOptions, output: &Output, view: &View) {

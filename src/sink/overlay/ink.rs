@@ -5,7 +5,7 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 
 /// A face of the font: one of its rasters, enlarged by a whole number.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Face {
+pub(crate) struct Face {
     raster: RasterHeight,
     zoom: usize,
 }
@@ -32,7 +32,7 @@ impl Face {
 }
 
 /// Ink of one colour on a part of a picture, before it is printed.
-pub(super) struct Ink {
+pub(crate) struct Ink {
     left: i64,
     top: i64,
     width: usize,

@@ -2,7 +2,7 @@
 
 /// A scale: labelled values, and what all labels have in common.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Ticks {
+pub(crate) struct Ticks {
     /// Values and their labels, ascending.
     pub labels: Vec<(f64, String)>,
     /// Labels are to be multiplied by ten to this power; 0 when they are values themselves.

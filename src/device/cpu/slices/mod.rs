@@ -60,10 +60,13 @@ fn slice_watched(slices: &Slices, rays: &mut [Ray], mut watch: impl FnMut(Range<
 /// The light buffer before the first slice.
 fn beginning(beam: &Beam, texels: Texels) -> Vec<f32> {
     let Some(start) = beam.start else { return vec![1.0; texels.len()] };
-    let [width, _] = texels.size;
-    let row =
-        |row: &[[f32; 3]]| (0..texels.channels).flat_map(|c| row.iter().map(|t| t[c]).collect::<Vec<_>>()).collect();
-    start.chunks(width).flat_map(|of: &[[f32; 3]]| -> Vec<f32> { row(of) }).collect()
+    let mut front = vec![0.0; texels.len()];
+    for (row, of) in front.chunks_mut(texels.row()).zip(start.chunks(texels.size[0])) {
+        for (c, line) in row.chunks_mut(texels.size[0]).enumerate() {
+            line.iter_mut().zip(of).for_each(|(value, texel)| *value = texel[c]);
+        }
+    }
+    front
 }
 
 /// Carries all rays that meet slabs through them.
