@@ -124,7 +124,8 @@ pub fn working_set(scene: &Scene, grid: &Grid) -> Result<u64> {
     let Needs { data, direct, solved, frames, .. } = Needs::new(scene, grid)?;
     // Extinction now and before, and the light of each source.
     let direct = values(direct.0) * (2 + direct.1);
-    Ok(4 * (STEPS * values(data) + direct + values(solved.0) * solved.1 + frames))
+    let gradient = if scene.transfer.two_dimensional() { values(data) } else { 0 };
+    Ok(4 * (STEPS * values(data) + gradient + direct + values(solved.0) * solved.1 + frames))
 }
 
 /// The least budget that leaves `lighting` bytes beside what sources keep [`decoded`](source::decoded).

@@ -99,35 +99,43 @@ fn no_jump_where_the_order_flips() {
     assert!(moves[1] < 1.5 * moves[0].max(moves[2]), "{moves:?}");
 }
 
+/// A lamp inside the volume is divided among passes, whose outermost rays cross slices at up to 80 degrees: samples are closer, so
+/// that along them they are still half a voxel apart.
 #[test]
 fn lamps_outside_and_inside_the_volume_are_those_of_the_light_volume() {
-    let cone = "lights.0.kind=cone";
-    for (place, more) in [
-        ("[40, -20, 30]", &["lights.0.kind=point", "lights.0.intensity=3000"][..]),
-        ("[11.3, 12.2, 22.1]", &["lights.0.kind=point", "lights.0.intensity=200"]),
-        (
-            "[-14, 11, 13]",
-            &[cone, "lights.0.direction=[1, 0, 0]", "lights.0.angle=20", "lights.0.intensity=900", "lights.0.edge=4"],
-        ),
-        (
-            "[11.3, 22.2, 11.1]",
+    let (point, cone) = ("lights.0.kind=point", "lights.0.kind=cone");
+    let inside = ["render.step=0.1", "lights.0.intensity=200"];
+    let found = |more: &[&str]| {
+        let [cast, sliced] = both(&[&COMMON, more].concat());
+        relative_rmse(&sliced, &cast)
+    };
+    let outside = [
+        found(&[point, "lights.0.intensity=3000", "lights.0.position=[40, -20, 30]"]),
+        found(&[
+            cone,
+            "lights.0.intensity=900",
+            "lights.0.position=[-14, 11, 13]",
+            "lights.0.direction=[1, 0, 0]",
+            "lights.0.angle=20",
+            "lights.0.edge=4",
+        ]),
+    ];
+    let inside = [
+        found(&[&inside[..], &[point, "lights.0.position=[11.3, 12.2, 22.1]"]].concat()),
+        found(
             &[
-                cone,
-                "lights.0.direction=[0, -1, 0.1]",
-                "lights.0.angle=75",
-                "lights.0.intensity=200",
-                "lights.0.edge=10",
-            ],
+                &inside[..],
+                &[cone, "lights.0.position=[11.3, 22.2, 11.1]", "lights.0.direction=[0, -1, 0.1]"],
+                &["lights.0.angle=75", "lights.0.edge=10"],
+            ]
+            .concat(),
         ),
-    ] {
-        let place = format!("lights.0.position={place}");
-        let mut common = COMMON.to_vec();
-        common.extend(more);
-        common.push(&place);
-        let [cast, sliced] = both(&common);
-        let error = relative_rmse(&sliced, &cast);
-        assert!(error < 0.04, "{more:?}: {error}");
-    }
+    ];
+    // The cone's border is a voxel or two wide.
+    assert!(outside[0] < 0.03 && outside[1] < 0.07, "{outside:?}");
+    // The light volume's feet are bilinear round a lamp. Both pictures are 16 % off those of three times as many values, which
+    // are 2 % apart.
+    assert!(inside.iter().all(|e| *e < 0.1), "{inside:?}");
 }
 
 /// Many lights add up, each with a pass of its own; emission and even light are counted once.

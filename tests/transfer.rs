@@ -134,7 +134,7 @@ fn regions_are_media_that_add_up() {
 #[test]
 fn a_boundary_is_seen_without_what_it_bounds() {
     // Three voxels from 0 to 1: a third of the range per voxel.
-    let edge = "transfer.regions=[{gradient = [0.5, 1], opacity = 0.6, edge = 0.2}]";
+    let edge = "transfer.regions=[{gradient = [0.5, 1], opacity = 0.1, edge = 0.2}]";
     for kind in ["render.kind=raycast", "render.kind=slices"] {
         let steep = picture(&[edge, "transfer.steepest=0.4", kind]);
         let middle = steep.pixels[16 * 40 + 20][3];
@@ -145,11 +145,13 @@ fn a_boundary_is_seen_without_what_it_bounds() {
             picture(&["transfer.regions=[{gradient = [0.95, 1], opacity = 0.6}]", "transfer.steepest=2", kind]);
         assert!(gentle.pixels.iter().all(|p| p[3] == 0.0), "nothing is that steep");
     }
+    // Unlit, as the light volume cannot resolve so thin a shell.
+    let glowing = "transfer.regions=[{gradient = [0.5, 1], opacity = 0.1, edge = 0.2, emission = 2}]";
     let [cast, sliced] = ["render.kind=raycast", "render.kind=slices"]
-        .map(|kind| picture(&[edge, "transfer.steepest=0.4", kind, "render.step=0.25", "light.interpolation=cubic"]));
+        .map(|kind| picture(&[glowing, "transfer.steepest=0.4", kind, "render.step=0.1", "lights.0.intensity=0"]));
     let square: f64 = cast.pixels.iter().zip(&sliced.pixels).map(|(a, b)| f64::from(a[0] - b[0]).powi(2)).sum();
     let mean = cast.pixels.iter().map(|p| f64::from(p[0])).sum::<f64>() / 1280.0;
-    assert!((square / 1280.0).sqrt() / mean < 0.05, "{}", (square / 1280.0).sqrt() / mean);
+    assert!((square / 1280.0).sqrt() / mean < 0.02, "{}", (square / 1280.0).sqrt() / mean);
 }
 
 /// No value is more visible than its brick's majorant, whatever its gradient.

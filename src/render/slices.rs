@@ -106,8 +106,8 @@ fn frame_of(forward: DVec3) -> DMat3 {
     DMat3::from_cols(right, forward.cross(right), forward)
 }
 
-/// The axis for light along `light`, its rays within `alpha` of it, and a view along `view`, its rays within `beta`; with the lesser
-/// of the cosines between it and the two. Half-way where possible; `None` where no axis is within [`STEEPEST`] of all rays.
+/// The axis for light along `light`, its rays within `alpha` of it, and a view along `view`, its rays within `beta`; with the distance
+/// of slices, in distances of samples: the lesser of the cosines between the axis and the two. Half-way where possible; `None` where no axis is within [`STEEPEST`] of all rays.
 fn half_way(light: DVec3, alpha: f64, view: DVec3, beta: f64) -> Option<(DVec3, f64)> {
     let facing = if light.dot(view) >= 0.0 { view } else { -view };
     let theta = light.angle_between(facing);
@@ -119,7 +119,9 @@ fn half_way(light: DVec3, alpha: f64, view: DVec3, beta: f64) -> Option<(DVec3, 
     let from_light = (0.5 * theta).clamp(least, most);
     let aside = (facing - light * light.dot(facing)).normalize_or_zero();
     let axis = (light * from_light.cos() + aside * from_light.sin()).normalize();
-    Some((axis, from_light.cos().min((theta - from_light).cos())))
+    // Along the light's outermost ray samples are at most twice as far apart as along the view.
+    let spacing = from_light.cos().min((theta - from_light).cos()).min(2.0 * (from_light + alpha).cos());
+    Some((axis, spacing))
 }
 
 /// A part of a picture, and how far its rays part from its middle one.

@@ -5,8 +5,8 @@ use std::fmt::Debug;
 use super::allowed::allowed;
 use super::area;
 use super::{
-    CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, MeshKeys, Model, MovieKeys,
-    NoiseKeys, PathtraceKeys, RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind,
+    AttenuationKey, CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, MeshKeys, Model,
+    MovieKeys, NoiseKeys, PathtraceKeys, RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind,
     TransferKeys,
 };
 use crate::error::{Error, Result};
@@ -67,6 +67,14 @@ impl Scene {
         render(&self.render)?;
         pathtrace(&self.pathtrace)?;
         slices(&self.slices)?;
+        let by_values =
+            self.render.kind == RenderKind::Isosurface && matches!(self.isosurface.attenuation, AttenuationKey::By(_));
+        if by_values && self.transfer.two_dimensional() {
+            return Err(Error::Unsupported(
+                "isosurface.attenuation = \"transfer\" with transfer.regions or transfer.painting\n  try: a number or [red, green, blue]"
+                    .into(),
+            ));
+        }
         if self.render.preview > 1 && self.transfer.two_dimensional() {
             return Err(Error::Unsupported(
                 "render.preview with transfer.regions or transfer.painting\n  try: render.preview = 1, or transfer.opacity alone"
