@@ -63,7 +63,7 @@ fn child(path: &str, n: usize, budget: u64, folder: &Path) {
     let series = source::open(&spec).expect("the volume");
     let mut sets = vec!["lights.0.direction=[-0.5, 0.6, -0.7]", "light.warm=false", "render.size=[1280, 720]"];
     let scattered = std::env::args().any(|a| a == "--scattered");
-    sets.push(if scattered { "light.resolution=96" } else { "light.scattering=false" });
+    sets.push(if scattered { "light.resolution=0.5" } else { "light.scattering=false" });
     let opacity = format!("transfer.extinction={}", 12.0 / n as f64);
     let sets: Vec<String> = sets.into_iter().map(String::from).chain([opacity]).collect();
     let scene = Scene::load(None, &sets).expect("a scene");

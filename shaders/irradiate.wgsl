@@ -2,6 +2,7 @@
 // rho → out
 
 struct Params {
+    // Values that are held.
     size: vec3<u32>,
     position: vec3<f32>,
     spacing: vec3<f32>,
@@ -11,6 +12,8 @@ struct Params {
     outer: f32,
     slope: f32,
     cosine: f32,
+    // The first plane that is held.
+    plane: u32,
 }
 
 // Voxels from the light within which a voxel holds the mean of its points, and their number along an edge.
@@ -25,7 +28,7 @@ const PARTS: u32 = 4u;
 fn irradiate(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id >= params.size) { return; }
     let i = index(params.size, id);
-    let away = vec3<f32>(id) - params.position;
+    let away = vec3<f32>(id + vec3(0u, 0u, params.plane)) - params.position;
     if any(abs(away) > vec3(NEAR)) {
         out[i] = rho[i] * falloff(away * params.spacing, params.axis, params.floor, params.outer, params.slope, params.cosine);
         return;

@@ -8,6 +8,8 @@ struct Params {
     glows: u32,
     // World length below which the way from a light has no direction.
     near: f32,
+    // Number of the first value on the grid.
+    first: u32,
     size: vec3<u32>,
     spacing: vec3<f32>,
 }
@@ -49,7 +51,8 @@ fn add_light(
         var u = vec3(light.x, light.y, light.z);
         if light.radial != 0u {
             let size = params.size;
-            let d = (vec3<f32>(vec3(i % size.x, i / size.x % size.y, i / (size.x * size.y))) - u) * params.spacing;
+            let n = params.first + i;
+            let d = (vec3<f32>(vec3(n % size.x, n / size.x % size.y, n / (size.x * size.y))) - u) * params.spacing;
             u = d / max(length(d), params.near);
         }
         let current = light.irradiance * fluence * u;

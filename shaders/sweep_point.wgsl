@@ -17,6 +17,8 @@ struct Params {
     spacing: vec3<f32>,
     // Bricks along x, y, z.
     counts: vec3<u32>,
+    // The first plane across z that is held.
+    plane: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -33,7 +35,7 @@ var<private> ghost_at: vec3<i32>;
 var<private> ghost_first: i32;
 
 fn at(p: vec3<i32>) -> u32 {
-    return u32((p.z * params.size.y + p.y) * params.size.x + p.x);
+    return u32(((p.z - params.plane) * params.size.y + p.y) * params.size.x + p.x);
 }
 
 fn inside(p: vec3<i32>) -> bool {

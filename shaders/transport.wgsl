@@ -12,6 +12,10 @@ struct Params {
     values: u32,
     // +1 or −1 along the dominant axis.
     travel: i32,
+    // Values of a plane across z, the plane whose radiance is given and the one whose radiance is carried on; none: 2³² − 1.
+    plane: u32,
+    given: u32,
+    carried: u32,
 }
 
 struct Ordinate {
@@ -42,7 +46,8 @@ override ABREAST: u32 = 8u;
 @group(0) @binding(4) var<storage, read> gradient_x: array<f32>;
 @group(0) @binding(5) var<storage, read> gradient_y: array<f32>;
 @group(0) @binding(6) var<storage, read> gradient_z: array<f32>;
-// Radiance of two layers in turn, each (ordinate, c, b).
+// Radiance of two layers in turn, each (ordinate, c, b); then that of the plane that is given and of the one that is carried
+// on, each (ordinate, y, x).
 @group(0) @binding(7) var<storage, read_write> radiance: array<f32>;
 @group(0) @binding(8) var<storage, read_write> sum: array<f32>;
 @group(0) @binding(9) var<storage, read_write> current_x: array<f32>;
@@ -92,8 +97,14 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
     var own = vec4(0.0);
     if here {
         let p = at(vec3(q, a));
+        let faces = 2u * params.count * params.size.x * params.size.y;
         for (var d = thread.z; d < params.count; d += ABREAST) {
             let o = ordinates[d];
+            if p / params.plane == params.given {
+                // The slab before has summed this plane.
+                radiance[radiance_index(layer.number & 1u, d, q)] = radiance[faces + d * params.plane + p % params.plane];
+                continue;
+            }
             let s = sigma[p];
             let emitted = source_at(p, o.direction);
             // Before the first layer: half a step through the voxel itself.
@@ -125,6 +136,9 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
             let step = characteristic(0.5 * o.length * (s_up + s));
             let value = up + step.x * (emitted_up - up) + step.y * (emitted - emitted_up);
             radiance[radiance_index(layer.number & 1u, d, q)] = value;
+            if p / params.plane == params.carried {
+                radiance[faces + (params.count + d) * params.plane + p % params.plane] = value;
+            }
             own += o.weight * value * vec4(1.0, o.direction);
         }
     }

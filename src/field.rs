@@ -1,5 +1,6 @@
 //! Fields readable by region, and timesteps.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::error::Result;
@@ -34,13 +35,32 @@ const PIECE: usize = 8 << 20;
 /// Reads the planes of `slab`, a few at a time, with holes marked; returns the number of holes. Where none are known to be there
 /// (`clean`) nobody looks for them.
 pub fn read_planes(field: &dyn Field, slab: &Slab, out: &mut [f32], clean: bool) -> Result<u64> {
-    let (mut holes, mut rest) = (0, out);
-    for region in slab.region().slabs(PIECE / 4) {
+    read_rows(field, slab, 0..slab.size[1], out, clean)
+}
+
+/// The same for some rows of each plane; the others keep what they held, or get what means nothing.
+pub(crate) fn read_rows(
+    field: &dyn Field,
+    slab: &Slab,
+    rows: Range<usize>,
+    out: &mut [f32],
+    clean: bool,
+) -> Result<u64> {
+    let (nx, plane) = (slab.size[0], slab.plane());
+    let (each, mut holes, mut rest) = (nx * rows.len(), 0, out);
+    for mut region in slab.region().slabs(PIECE / 4) {
         let (out, after) = rest.split_at_mut(region.len());
         rest = after;
-        field.read(region, out)?;
+        (region.start[1], region.size[1]) = (rows.start, rows.len());
+        let values = &mut out[..region.len()];
+        field.read(region, values)?;
         if !clean {
-            holes += mark_holes(out);
+            holes += mark_holes(values);
+        }
+        if each < plane {
+            // The last plane first: each goes to where nothing lies that is still to be moved.
+            let planes = (0..region.size[2]).rev();
+            planes.for_each(|p| out.copy_within(p * each..(p + 1) * each, p * plane + rows.start * nx));
         }
     }
     Ok(holes)

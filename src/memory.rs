@@ -23,12 +23,25 @@ struct Needs {
     data: [u64; 3],
     /// A volume of direct light that may be paged, and how many there are beside extinction now and before.
     direct: ([u64; 3], u64),
-    /// A volume of what is solved in memory, and how many there are.
+    /// A volume of scattered light, or of the paper's model, and how many there are.
     solved: ([u64; 3], u64),
-    /// Direct light is solved in memory too.
-    near: bool,
+    /// Some light is in one place.
+    lamps: bool,
+    /// What is solved slab by slab; else all of it must be in memory.
+    scattering: Option<Scattering>,
     /// Values of all pictures of a step.
     frames: u64,
+}
+
+/// What a pass of scattered light takes.
+struct Scattering {
+    /// Ordinates that cross planes one way.
+    ordinates: u64,
+    /// First-collision light, emission.
+    given: u64,
+    /// Components of a current: 3 where scattering is anisotropic.
+    current: u64,
+    channels: u64,
 }
 
 impl Needs {
@@ -36,8 +49,9 @@ impl Needs {
         let grid = &Detail::grid(&scene.noise, grid);
         let size = |key: f64| SolverKeys::grid_size(key, grid.size).map(|n| n as u64);
         let lights = lights::resolve(scene)?;
+        let channels = if gray(scene, &lights)? { 1 } else { 3 };
         let (direct, solved) = match scene.light.model {
-            Model::Physical => physical(scene, &lights)?,
+            Model::Physical => physical(scene, &lights, channels),
             Model::Paper => (0, paper(scene, &lights)),
         };
         let pixels = scene.render.size.iter().map(|n| *n as u64).product::<u64>();
@@ -48,7 +62,13 @@ impl Needs {
         Ok(Needs {
             data: grid.size.map(|n| n as u64),
             direct: (direct_size, direct),
-            near: scene.light.model == Model::Physical && lamps(&lights),
+            lamps: scene.light.model == Model::Physical && lamps(&lights),
+            scattering: (scene.light.model == Model::Physical).then(|| Scattering {
+                ordinates: scene.light.directions as u64 / 2,
+                given: direct + u64::from(!scene.transfer.emission.is_empty()),
+                current: if scene.transfer.anisotropy != 0.0 { 3 } else { 0 },
+                channels: channels as u64,
+            }),
             solved: (size(scene.light.resolution), solved),
             frames: STEPS * 4 * pixels * scene.cameras.len().max(1) as u64,
         })
@@ -56,7 +76,7 @@ impl Needs {
 }
 
 /// Volumes of direct and of scattered light in the physical model.
-fn physical(scene: &Scene, lights: &[Light]) -> Result<(u64, u64)> {
+fn physical(scene: &Scene, lights: &[Light], channels: usize) -> (u64, u64) {
     let mut factors = scene.transfer.chromatic.map(f32::to_bits).to_vec();
     factors.sort_unstable();
     factors.dedup();
@@ -67,11 +87,10 @@ fn physical(scene: &Scene, lights: &[Light]) -> Result<(u64, u64)> {
     let opaque = if scene.meshes.is_empty() { 0 } else { 2 };
     let direct = sources + u64::from(lamps(lights)) + opaque;
     if !scene.light.scattering && !lights.iter().any(all_around) {
-        return Ok((direct, 0));
+        return (direct, 0);
     }
-    let channels = if gray(scene, lights)? { 1 } else { 3 };
     let glows = !scene.transfer.emission.is_empty();
-    Ok((direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources + opaque))
+    (direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources + opaque)
 }
 
 /// True where a light is in one place.
@@ -135,31 +154,45 @@ fn with_decoded(lighting: u64) -> u64 {
 
 /// The least budget, in bytes, within which data on `grid` can be lit, its volumes a slab at a time.
 pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
-    let Needs { data, direct: (light, lights), solved: (coarse, volumes), near, .. } = Needs::new(scene, grid)?;
+    let Needs { data, direct: (light, lights), solved: (coarse, volumes), lamps, scattering, .. } =
+        Needs::new(scene, grid)?;
     // As the paged device counts: a slab of one plane, and what it shares with its neighbours.
     let per = |size: [u64; 3], planes: u64| values(size).div_ceil(planes.max(1));
     let plane = |size: [u64; 3]| size[0] * size[1];
-    let sweep = 2 * (2 * per(data, light[2]) + 2 * plane(light)) + plane(light);
+    let extinction = 2 * per(data, light[2]) + plane(light);
+    let sweep = 2 * (extinction + plane(light)) + plane(light);
+    // A layer of bricks of the least edge, or one more where such would end at the light's plane, and two planes on both sides.
+    let outward = (light[2].min(9) + 4) * (extinction + plane(light)) + 2 * plane(light);
     let shade = if scene.render.shading == Shading::Phong { 2 } else { 0 };
     let [w, h] = scene.render.size.map(|n| n as u64);
     let cells = (data[2] - 1).max(1);
-    let march = (4 + shade) * 2 * (per(data, cells) + per(light, cells) * lights) + 8 * w * h;
+    let shown = scattering.as_ref().map_or(0, |s| s.channels * (1 + s.current)).min(volumes);
+    let terms = per(light, cells) * lights + per(coarse, cells) * shown;
+    let march = (4 + shade) * 2 * (per(data, cells) + terms) + 8 * w * h;
     let below = per(data, coarse[2]).max(per(light, coarse[2]));
     let coarser = 2 * below + 2 * plane(coarse) + 4 * plane(data).max(plane(light));
     let mut least = march;
     if lights > 0 {
         least = least.max(sweep);
     }
-    if near {
-        least = least.max(sweep) + values(light) * (2 + lights);
+    if lamps {
+        least = least.max(outward);
     }
     if volumes > 0 {
-        least = least.max(coarser) + values(coarse) * volumes;
+        least = least.max(match scattering {
+            Some(Scattering { ordinates, given, current, .. }) => {
+                let (fields, sums) = (2 + current, 1 + current);
+                let transport = 4 * fields + 2 + 4 * sums + 2 * ordinates + 16;
+                let source = 2 * (3 + given + current) + sums;
+                coarser.max(plane(coarse) * transport.max(source))
+            }
+            None => coarser + values(coarse) * volumes,
+        });
     }
     // Other small volumes stay in memory too, up to a quarter of it.
     let small = |size: [u64; 3]| values(size) * Paged::SMALL <= least * 4 / 3;
     let kept = |size: [u64; 3], count: u64| if small(size) { values(size) * count } else { 0 };
-    let kept = kept(data, 2) + kept(light, 2 + lights) + kept(coarse, lights);
+    let kept = kept(data, 2) + kept(light, 2 + lights) + kept(coarse, lights + volumes);
     // A hundredth more for what rounding adds.
     Ok((4 * (least + kept.min(least / 3))).div_ceil(100) * 101)
 }

@@ -1,5 +1,6 @@
 //! A device that fails while a simulation runs: the session goes on without it.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -113,7 +114,7 @@ impl Device for Faulty {
     ) -> Result<Vec<f32>> {
         unreachable!()
     }
-    fn irradiate(&self, _: &Lamp, _: &Grid, _: &Buffer, _: &mut Buffer) -> Result<()> {
+    fn irradiate(&self, _: &Lamp, _: &Grid, _: Range<usize>, _: &Buffer, _: &mut Buffer) -> Result<()> {
         unreachable!()
     }
     fn convect_layers(&self, _: &Convection, _: Layers, _: &Buffer, _: &Buffer, _: &mut Buffer) -> Result<Convected> {

@@ -308,6 +308,7 @@ fn emitted_light_is_absorbed_or_leaks() {
             scattering: &setting.scattering[0],
             emission: Some(&setting.emission[0]),
             grid: &grid,
+            plane: 0,
             first: &[],
             phi: solution.fluence()[0].0,
             current: None,

@@ -4,9 +4,10 @@
 //! WGSL (`shaders/NAME.wgsl`) under the same name, with the same equation at the top; a test runs both on the same random
 //! input. What decides (which brick next, what may be skipped, when to stop) lives above, once.
 
+use std::ops::Range;
 use std::sync::Arc;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::field::{self, Field};
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
@@ -26,6 +27,7 @@ mod march;
 mod open;
 mod optic;
 pub mod paged;
+mod passage;
 pub mod random;
 mod scatter;
 pub mod slices;
@@ -40,12 +42,16 @@ pub use lamp::{Cone, Lamp};
 pub use march::{March, Part, Phong, Ray, Term, Weight};
 pub use open::open;
 pub use optic::Optic;
+pub use passage::Passage;
 pub use scatter::{Ordinate, SourceTerm, Transport, Travel};
 pub use sweep::{Edge, PointSweep, Sweep};
 
 /// Extinction just outside the medium (see [`Device::extend`]), per world length: far too little to dim anything in a
 /// volume of up to 10¹⁰ world lengths, and far above what f32 cannot hold.
 pub const FAINT: f32 = 1e-18;
+
+/// Values over which no inner product is summed at once: see [`Device::dot_parts`].
+pub const RUN: usize = 1 << 14;
 
 /// Where kernels run.
 pub trait Device: Send + Sync {
@@ -182,7 +188,7 @@ pub trait Device: Send + Sync {
 
     /// Transmittance to irradiance per unit of radiant intensity: `out = ρ · falloff(x)`, see [`Lamp`]. Within
     /// [`Lamp::NEAR`] voxels of the light along every axis the falloff is the mean of 4³ points of a voxel.
-    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()>;
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, planes: Range<usize>, rho: &Buffer, out: &mut Buffer) -> Result<()>;
 
     /// Source function of scattered light: see [`SourceTerm`]. `gradient` is written where `term.current` is given.
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()>;
@@ -264,8 +270,7 @@ pub trait Device: Send + Sync {
 
     /// Inner product, summed in f64.
     fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
-        let [a, b] = self.both(a, b)?;
-        Ok(a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum())
+        Ok(self.dot_parts(a, b)?.iter().sum())
     }
 
     /// Largest `|a − b|`.
@@ -413,8 +418,35 @@ pub trait Device: Send + Sync {
         cpu::sample::sample(size, &host, points, out);
         Ok(())
     }
+
+    /// The part of [`Device::transport`] that ordinates add which cross planes of z one way, in a slab: see [`Passage`]. Buffers
+    /// hold the slab's planes, and `t.grid` has their number. `faces`: what the slab before has left, if there is one, and
+    /// what this one leaves; a plane for each of these ordinates, in an order of the device's own. `phi` and `current` are summed
+    /// into.
+    fn transport_slab(
+        &self,
+        _t: &Transport,
+        _passage: &Passage,
+        _faces: (&Buffer, &mut Buffer),
+        _phi: &mut Buffer,
+        _current: Option<[&mut Buffer; 3]>,
+    ) -> Result<()> {
+        let why = format!("scattered light a slab at a time on {}\n  try: more --memory, or --device cpu", self.name());
+        Err(Error::Unsupported(why))
+    }
+
+    /// Inner products over runs of values, of which [`RUN`] is a multiple: their sum, in order, is [`Device::dot`].
+    fn dot_parts(&self, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
+        let [a, b] = self.both(a, b)?;
+        Ok(vec![a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()])
+    }
+
+    /// Sets all values.
+    fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
+        self.upload(&vec![value; into.len()], into)
+    }
 }
 
-fn no_surfaces(device: String) -> crate::Error {
-    crate::Error::Unsupported(format!("render.kind = \"isosurface\" on {device}\n  try: --device cpu"))
+fn no_surfaces(device: String) -> Error {
+    Error::Unsupported(format!("render.kind = \"isosurface\" on {device}\n  try: --device cpu"))
 }

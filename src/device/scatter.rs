@@ -55,6 +55,8 @@ pub struct SourceTerm<'a> {
     pub emission: Option<&'a Buffer>,
     /// Where the values sit.
     pub grid: &'a Grid,
+    /// The first of its planes that buffers hold.
+    pub plane: usize,
     /// First-collision fluence of each light on this grid, with the channel's factor on it and the light's direction.
     pub first: &'a [(&'a Buffer, f32, Travel)],
     /// Fluence of scattered light.

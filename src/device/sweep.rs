@@ -59,6 +59,9 @@ pub struct PointSweep {
     pub fraction: [f32; 3],
     /// Length of a step of one voxel along each axis: the world's, times any factor on extinction.
     pub spacing: [f32; 3],
+    /// The first plane across z that buffers hold. They hold those of the bricks at hand, one more of ρ on the light's side and two
+    /// more of extinction on both, as far as there are any.
+    pub plane: usize,
 }
 
 /// What lies behind the end of a brick along an axis, as its light sees it.
@@ -89,7 +92,14 @@ impl PointSweep {
             cell: at.ceil().as_ivec3().to_array(),
             fraction: (at.ceil() - at).as_vec3().to_array(),
             spacing: (spacing * f64::from(factor)).as_vec3().to_array(),
+            plane: 0,
         }
+    }
+
+    /// Values that buffers hold at least for these bricks.
+    pub(crate) fn held(&self, layout: &BrickLayout, bricks: &[&[u32]]) -> usize {
+        let end = bricks.iter().copied().flatten().map(|&b| layout.region(b as usize).end()[2]).max().unwrap_or(0);
+        self.size[0] * self.size[1] * end.saturating_sub(self.plane)
     }
 
     /// Offset of index `i` from the light along an axis, in voxels.

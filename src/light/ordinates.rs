@@ -268,7 +268,7 @@ impl Scattered {
                 Some(ones) => ones,
                 None => {
                     let mut buffer = device.alloc(grid.len())?;
-                    device.upload(&vec![1.0; grid.len()], &mut buffer)?;
+                    device.fill(1.0, &mut buffer)?;
                     ones.insert(buffer)
                 }
             };

@@ -368,13 +368,13 @@ impl Paper {
         for (source, light) in sources.iter().zip(&volume.lights) {
             if let Some(lamp) = &source.lamp {
                 let out = masks.next().expect("one for each");
-                device.irradiate(lamp, &self.grid, &light.rho, out)?;
+                device.irradiate(lamp, &self.grid, 0..self.grid.size[2], &light.rho, out)?;
                 report.voxel_updates += voxels as u64;
             }
         }
         if environment != [0.0; 3] && self.ones.is_none() {
             let mut ones = device.alloc(voxels)?;
-            device.upload(&vec![1.0; voxels], &mut ones)?;
+            device.fill(1.0, &mut ones)?;
             self.ones = Some(ones);
         }
         let total: f32 = sources.iter().map(|s| brightest(s.colour) * s.nearest).sum();

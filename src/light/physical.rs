@@ -477,7 +477,7 @@ impl Physical {
         for ((source, direct), out) in volume.direct.iter().zip(&mut optics.first) {
             let fine = match (&source.lamp, &mut self.lit) {
                 (Some(lamp), Some(lit)) => {
-                    device.irradiate(lamp, &self.grid, &direct.rho, lit)?;
+                    device.irradiate(lamp, &self.grid, 0..self.grid.size[2], &direct.rho, lit)?;
                     lit
                 }
                 _ => &direct.rho,
@@ -519,7 +519,7 @@ impl Physical {
             let mut lit = None;
             if let Some(lamp) = &source.lamp {
                 let lit = lit.insert(device.alloc(self.grid.len())?);
-                device.irradiate(lamp, &self.grid, &direct.rho, lit)?;
+                device.irradiate(lamp, &self.grid, 0..self.grid.size[2], &direct.rho, lit)?;
             }
             device.restrict(self.grid.size, lit.as_ref().unwrap_or(&direct.rho), self.coarse.size, &mut out)?;
             first.push((out, source.strength));

@@ -129,7 +129,7 @@ fn lamps_agree() {
         let lamp = Lamp { position: lo + 0.4 * (hi - lo), radius: 0.05, cone };
         let [want, got] = both(|d| {
             let mut out = d.alloc(grid.len()).unwrap();
-            d.irradiate(&lamp, &grid, &upload(d, &rho), &mut out).unwrap();
+            d.irradiate(&lamp, &grid, 0..grid.size[2], &upload(d, &rho), &mut out).unwrap();
             download(d, &out)
         });
         assert_close(&want, &got, 1e-5, &format!("{cone:?}"));
@@ -157,6 +157,7 @@ fn sources_agree() {
                 scattering: &v[2],
                 emission: glows.then_some(&v[3]),
                 grid: &grid,
+                plane: 0,
                 first: &first,
                 phi: &v[3],
                 current: forward.map(|f| ([&v[4], &v[5], &v[6]], f)),

@@ -8,7 +8,7 @@ use super::simd::dispatch;
 use crate::device::Buffer;
 
 /// Values worked on at a time: a few arrays of this length fit in a second-level cache.
-const CHUNK: usize = 1 << 14;
+const CHUNK: usize = crate::device::RUN;
 
 /// Sums run in this many lanes.
 const LANES: usize = 16;
@@ -18,10 +18,9 @@ pub(crate) fn combine(terms: &[(&Buffer, f32)], out: &mut [f32]) {
     out.par_chunks_mut(CHUNK).enumerate().for_each(|(n, out)| combine_chunk(terms, n * CHUNK, out));
 }
 
-/// reads two volumes → returns their inner product.
-pub(crate) fn dot(a: &[f32], b: &[f32]) -> f64 {
-    let partial: Vec<f64> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(|(a, b)| dot_chunk(a, b)).collect();
-    partial.iter().sum()
+/// reads two volumes → returns the parts of their inner product.
+pub(crate) fn dot_parts(a: &[f32], b: &[f32]) -> Vec<f64> {
+    a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(|(a, b)| dot_chunk(a, b)).collect()
 }
 
 /// reads two volumes → returns the largest `|a − b|`.

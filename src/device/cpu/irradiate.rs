@@ -1,5 +1,7 @@
 //! Irradiance of a lamp per unit of radiant intensity: `E(x) = ρ(x) · t²(3 − 2t)/max(r, R)²`, t the cone's edge, see [`Lamp`].
 
+use std::ops::Range;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -8,11 +10,12 @@ use crate::device::{Falloff, Lamp};
 use crate::grid::Grid;
 
 /// reads ρ → writes E.
-pub(crate) fn irradiate(lamp: &Lamp, grid: &Grid, rho: &[f32], out: &mut [f32]) {
+pub(crate) fn irradiate(lamp: &Lamp, grid: &Grid, planes: Range<usize>, rho: &[f32], out: &mut [f32]) {
     let [nx, ny, _] = grid.size;
     let falloff = lamp.on(grid, Lamp::PARTS);
-    let rows = out[..grid.len()].par_chunks_exact_mut(nx).zip(rho.par_chunks_exact(nx));
-    rows.enumerate().with_min_len(16).for_each(|(n, (out, rho))| row(&falloff, [n % ny, n / ny], rho, out));
+    let rows = out[..nx * ny * planes.len()].par_chunks_exact_mut(nx).zip(rho.par_chunks_exact(nx));
+    let at = |n: usize| [n % ny, planes.start + n / ny];
+    rows.enumerate().with_min_len(16).for_each(|(n, (out, rho))| row(&falloff, at(n), rho, out));
 }
 
 dispatch! {

@@ -1,12 +1,13 @@
 //! The CPU as a device: SIMD kernels over bricks and tiles on all cores. A first-class device, not a fallback.
 
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -16,7 +17,7 @@ use crate::transfer::Table;
 pub(crate) mod bricks;
 mod characteristic;
 pub(crate) mod classify;
-mod combine;
+pub(crate) mod combine;
 mod compose;
 mod convect;
 mod diffuse;
@@ -38,7 +39,7 @@ mod sweep_cubic;
 mod sweep_point;
 mod sweep_x;
 pub mod trace;
-mod transport;
+pub(crate) mod transport;
 
 /// The CPU.
 pub struct Cpu {
@@ -168,8 +169,8 @@ impl Device for Cpu {
         Ok(self.pool.install(|| sweep_point::sweep_point(sweep, layout, host(sigma), host_mut(rho), fronts)))
     }
 
-    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.pool.install(|| irradiate::irradiate(lamp, grid, host(rho), host_mut(out)));
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, planes: Range<usize>, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| irradiate::irradiate(lamp, grid, planes, host(rho), host_mut(out)));
         Ok(())
     }
 
@@ -255,10 +256,6 @@ impl Device for Cpu {
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
         self.pool.install(|| combine::combine(terms, host_mut(out)));
         Ok(())
-    }
-
-    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
-        Ok(self.pool.install(|| combine::dot(host(a), host(b))))
     }
 
     fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
@@ -366,5 +363,25 @@ impl Device for Cpu {
     fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
         self.pool.install(|| surface::light(surfaces, term, hits, sums));
         Ok(())
+    }
+
+    fn transport_slab(
+        &self,
+        transport: &Transport,
+        passage: &Passage,
+        (entry, exit): (&Buffer, &mut Buffer),
+        phi: &mut Buffer,
+        current: Option<[&mut Buffer; 3]>,
+    ) -> Result<()> {
+        let mut guard = self.transport.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = &mut *guard;
+        let faces = (host(entry), host_mut(exit));
+        let (phi, current) = (host_mut(phi), current.map(|c| c.map(host_mut)));
+        self.pool.install(|| transport::transport_slab(transport, passage, kept, faces, phi, current));
+        Ok(())
+    }
+
+    fn dot_parts(&self, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
+        Ok(self.pool.install(|| combine::dot_parts(host(a), host(b))))
     }
 }

@@ -52,7 +52,8 @@ fn chunk_body(term: &SourceTerm, start: usize, source: &mut [f32], gradient: Opt
             sum(out, values(current[axis]), light);
             for &(e, irradiance, travel) in term.first {
                 if let Travel::From(position) = travel {
-                    spread(term.grid, position, axis, start, (values(e), irradiance), out);
+                    let [nx, ny, _] = term.grid.size;
+                    spread(term.grid, position, axis, start + nx * ny * term.plane, (values(e), irradiance), out);
                 }
             }
             scatter(out, scattering, PER_SPHERE * weight, sigma);

@@ -31,8 +31,8 @@ pub(crate) fn sweep_point(
     rho: &mut [f32],
     fronts: &[&[u32]],
 ) -> Vec<f32> {
-    let voxels: usize = sweep.size.iter().product();
-    assert!(sigma.len() >= voxels && rho.len() >= voxels && layout.size == sweep.size, "buffers must hold the grid");
+    let held = sweep.held(layout, fronts);
+    assert!(sigma.len() >= held && rho.len() >= held && layout.size == sweep.size, "buffers must hold the bricks");
     let rho = Shared::new(rho);
     let compare = fronts.iter().map(|front| front.len()).sum::<usize>() < layout.len();
     let mut changes = front_by_front(layout, fronts, |region| {
@@ -207,7 +207,8 @@ fn gather(
     let (columns, x_up) = (span(x, n[0]), x.up.filter(|u| span(x, n[0]).contains(u)));
     for k in span(z, n[2]) {
         for j in span(y, n[1]) {
-            let global = ((z.start + k as i32) as usize * n[1] + (y.start + j as i32) as usize) * n[0];
+            let plane = (z.start + k as i32) as usize - sweep.plane;
+            let global = (plane * n[1] + (y.start + j as i32) as usize) * n[0];
             let from = global + (x.start + columns.start as i32) as usize;
             let local = (k * size[1] + j) * size[0];
             let count = columns.len();
@@ -237,7 +238,7 @@ fn scatter(sweep: &PointSweep, region: &Region, size: [usize; 3], r: &[f32], rho
         for j in start[1]..end[1] {
             let new = &r[((k - start[2] + 1) * size[1] + j - start[1] + 1) * size[0] + 1..][..region.size[0]];
             // SAFETY: voxels of this brick, which no other thread reads or writes during this front.
-            let old = unsafe { rho.row((k * n[1] + j) * n[0] + start[0], region.size[0]) };
+            let old = unsafe { rho.row(((k - sweep.plane) * n[1] + j) * n[0] + start[0], region.size[0]) };
             if compare {
                 if face(2, k) || face(1, j) {
                     change = new.iter().zip(old.iter()).fold(change, |m, (n, o)| m.max((n - o).abs()));
@@ -470,7 +471,7 @@ fn integral(sweep: &PointSweep, sigma: &[f32], p: [i32; 3]) -> f32 {
                     weight *= 1.0 - f[a];
                 }
             }
-            sum += weight * sigma[(i[2] * n[1] + i[1]) * n[0] + i[0]];
+            sum += weight * sigma[((i[2] - sweep.plane) * n[1] + i[1]) * n[0] + i[0]];
         }
         sum
     };

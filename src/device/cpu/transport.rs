@@ -10,6 +10,10 @@
 //! updated once. Only the layer before is kept of I. A thread works on a band of rows for a block of layers and computes
 //! the rows beside its band that it needs again, so one join serves many layers and the result does not depend on the
 //! number of threads. Layers perpendicular to x are transposed on the way in and out, a cache line of x at a time.
+//!
+//! Ordinates that cross planes of z downwards come first, those that cross them upwards second, never both in a batch: so a
+//! grid may be passed slab by slab, each of the two ways once, and every sum is the same to the bit. What a slab leaves to the
+//! next is the radiance of its last plane, its *face*.
 
 use std::ops::Range;
 
@@ -19,7 +23,7 @@ use super::host;
 use super::simd::dispatch;
 use aligned::Aligned;
 
-use crate::device::{Ordinate, Sweep, Transport};
+use crate::device::{Ordinate, Passage, Sweep, Transport};
 use crate::grid::Grid;
 
 mod aligned;
@@ -65,10 +69,12 @@ struct Foot {
     inflow: f32,
 }
 
-/// Ordinates of the same dominant axis and direction of travel along it.
+/// Ordinates of the same dominant axis and direction of travel along it and along z.
 struct Batch {
     axis: usize,
     ascending: bool,
+    /// Across z.
+    upward: bool,
     lanes: Vec<Lane>,
     feet: Vec<Foot>,
 }
@@ -78,7 +84,8 @@ fn lateral(axis: usize) -> (usize, usize) {
     [(2, 1), (2, 0), (1, 0)][axis]
 }
 
-fn batches(grid: &Grid, ordinates: &[Ordinate]) -> Vec<Batch> {
+/// Those that cross planes of z upwards, or the others.
+fn batches(grid: &Grid, ordinates: &[Ordinate], upward: bool) -> Vec<Batch> {
     let mut all: Vec<Batch> = Vec::new();
     for key in 0..6 {
         let (axis, ascending) = (key / 2, key % 2 == 0);
@@ -87,10 +94,10 @@ fn batches(grid: &Grid, ordinates: &[Ordinate]) -> Vec<Batch> {
         for o in ordinates {
             let sweep = Sweep::new(grid, o.direction, false);
             let d = sweep.direction;
-            if sweep.axis() != axis || (d[axis] >= 0.0) != ascending {
+            if sweep.axis() != axis || (d[axis] >= 0.0) != ascending || sweep.ascending()[2] != upward {
                 continue;
             }
-            let batch = open.get_or_insert_with(|| Batch { axis, ascending, lanes: vec![], feet: vec![] });
+            let batch = open.get_or_insert_with(|| Batch { axis, ascending, upward, lanes: vec![], feet: vec![] });
             let offset = |a: usize| (d[a] / d[axis]).abs().min(1.0);
             let foot = Foot {
                 step_row: if d[row] >= 0.0 { -1 } else { 1 },
@@ -130,6 +137,8 @@ struct Job<'a> {
     /// Radiance of the layer before the block: (row, lane, column). For layers perpendicular to x the layer's fields follow
     /// the lanes, for they would be costly to gather again.
     entry: &'a [f32],
+    /// Radiance of the first plane of z the way the batch travels, where that is given: see [`Job::outer`].
+    given: Option<&'a [f32]>,
     /// True when the sums hold nothing yet.
     first: bool,
     /// True when no step is deeper than [`rows::THIN`].
@@ -137,6 +146,17 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
+    /// Where row `j` of layer `l` is in the first and in the last plane of z the way the batch travels, if it is: a face holds
+    /// (row, lane, column) of layers perpendicular to z, else (layer in the order of travel, lane, column).
+    fn outer(&self, l: usize, j: usize) -> [Option<usize>; 2] {
+        if self.batch.axis == 2 {
+            return [(l == 0).then_some(j), (l + 1 == self.size[2]).then_some(j)];
+        }
+        let ends = [0, self.rows() - 1];
+        let [first, last] = if self.batch.upward { ends } else { [ends[1], ends[0]] };
+        [(j == first).then_some(l), (j == last).then_some(l)]
+    }
+
     fn rows(&self) -> usize {
         self.size[lateral(self.batch.axis).0]
     }
@@ -169,57 +189,99 @@ struct Band<'a> {
     /// slice that holds the band's rows of all layers.
     sums: Vec<Vec<&'a mut [f32]>>,
     exit: &'a mut [f32],
+    /// Its part of the face that is carried on, from [`Job::outer`] number `face_start` on; empty where there is none.
+    face: &'a mut [f32],
+    face_start: usize,
 }
 
 /// reads σ, S → writes φ and J; returns the largest change of φ and the largest φ.
-pub(crate) fn transport(
+pub(super) fn transport(
     t: &Transport,
     kept: &mut Kept,
     phi: &mut [f32],
     current: Option<[&mut [f32]; 3]>,
 ) -> (f32, f32) {
-    let (size, voxels) = (t.grid.size, t.grid.len());
+    let voxels = t.grid.len();
     if voxels == 0 {
         return (0.0, 0.0);
     }
+    let densest = host(t.sigma)[..voxels].par_chunks(CHUNK).map(largest).reduce(|| 0.0, f32::max);
+    let mut sum = std::mem::take(&mut kept.sum);
+    sum.resize(voxels, 0.0);
+    let mut sums: Vec<&mut [f32]> = vec![&mut sum];
+    sums.extend(current.into_iter().flatten().map(|c| &mut c[..voxels]));
+    for ascending in [false, true] {
+        let passage = Passage { ascending, given: false, added: ascending, densest };
+        pass(t, &passage, kept, (&[], &mut []), &mut sums);
+    }
+    let extremes = settle(sums[0], &mut phi[..voxels]);
+    kept.sum = sum;
+    extremes
+}
+
+/// reads σ, S, radiance of the slab before → writes radiance of the last plane, adds to φ and J.
+pub(super) fn transport_slab(
+    t: &Transport,
+    passage: &Passage,
+    kept: &mut Kept,
+    faces: (&[f32], &mut [f32]),
+    phi: &mut [f32],
+    current: Option<[&mut [f32]; 3]>,
+) {
+    let voxels = t.grid.len();
+    let mut sums: Vec<&mut [f32]> = vec![&mut phi[..voxels]];
+    sums.extend(current.into_iter().flatten().map(|c| &mut c[..voxels]));
+    pass(t, passage, kept, faces, &mut sums);
+}
+
+/// The ordinates that cross planes of z one way.
+fn pass(
+    t: &Transport,
+    passage: &Passage,
+    kept: &mut Kept,
+    (mut entry, mut exit): (&[f32], &mut [f32]),
+    sums: &mut [&mut [f32]],
+) {
+    let (voxels, plane) = (t.grid.len(), t.grid.size[0] * t.grid.size[1]);
     let mut fields = vec![&host(t.sigma)[..voxels], &host(t.source)[..voxels]];
     fields.extend(t.gradient.iter().flatten().map(|g| &host(g)[..voxels]));
-    let Kept { sum, entry, exit } = kept;
-    sum.resize(voxels, 0.0);
-    let mut sums: Vec<&mut [f32]> = vec![sum];
-    sums.extend(current.into_iter().flatten().map(|c| &mut c[..voxels]));
-    let batches = batches(t.grid, t.ordinates);
-    if batches.is_empty() {
+    let batches = batches(t.grid, t.ordinates, passage.ascending);
+    if batches.is_empty() && !passage.added {
         sums.iter_mut().for_each(|s| s.fill(0.0));
     }
-    let densest = fields[0].par_chunks(CHUNK).map(largest).reduce(|| 0.0, f32::max);
     for (n, batch) in batches.iter().enumerate() {
         let half = batch.feet.iter().fold(0.0f32, |m, f| m.max(f.half));
-        let thin = 2.0 * half * densest <= rows::THIN;
-        run(batch, size, &fields, (n == 0, thin), &mut sums, entry, exit);
+        let thin = 2.0 * half * passage.densest <= rows::THIN;
+        let given = passage.given.then(|| entry.split_off(..batch.lanes.len() * plane).expect("a face of every lane"));
+        let carried = match exit.is_empty() {
+            true => &mut [][..],
+            false => exit.split_off_mut(..batch.lanes.len() * plane).expect("a face of every lane"),
+        };
+        let job = Job {
+            batch,
+            size: t.grid.size,
+            fields: &fields,
+            layers: 0..0,
+            entry: &[],
+            given,
+            first: n == 0 && !passage.added,
+            thin,
+        };
+        run(job, sums, kept, carried);
     }
-    settle(sums[0], &mut phi[..voxels])
 }
 
 /// All layers of a batch, block by block.
-fn run(
-    batch: &Batch,
-    size: [usize; 3],
-    fields: &[&[f32]],
-    (first, thin): (bool, bool),
-    sums: &mut [&mut [f32]],
-    entry: &mut Aligned,
-    exit: &mut Aligned,
-) {
-    let (row_axis, col_axis) = lateral(batch.axis);
-    let (layers, rows, cols, plane) = (size[batch.axis], size[row_axis], size[col_axis], size[0] * size[1]);
-    let pitch = pitch(batch, fields.len(), cols);
+fn run(job: Job, sums: &mut [&mut [f32]], kept: &mut Kept, face: &mut [f32]) {
+    let Kept { entry, exit, .. } = kept;
+    let batch = job.batch;
+    let (layers, rows, cols, plane) = (job.size[batch.axis], job.rows(), job.cols(), job.size[0] * job.size[1]);
+    let pitch = pitch(batch, job.fields.len(), cols);
     entry.grow(rows * pitch);
     exit.grow(rows * pitch);
-    let height = height(rows, pitch);
+    let (height, deep) = (height(rows, pitch), batch.lanes.len() * cols);
     for start in (0..layers).step_by(BLOCK) {
-        let block = start..(start + BLOCK).min(layers);
-        let job = Job { batch, size, fields, layers: block, entry: &entry[..rows * pitch], first, thin };
+        let job = Job { layers: start..(start + BLOCK).min(layers), entry: &entry[..rows * pitch], ..job };
         let exits = exit[..rows * pitch].chunks_mut(height * pitch);
         let mut bands: Vec<Band> = exits
             .enumerate()
@@ -227,6 +289,8 @@ fn run(
                 rows: b * height..((b + 1) * height).min(rows),
                 sums: sums.iter().map(|_| Vec::with_capacity(BLOCK)).collect(),
                 exit,
+                face: &mut [],
+                face_start: 0,
             })
             .collect();
         for (part, sum) in sums.iter_mut().enumerate() {
@@ -237,6 +301,16 @@ fn run(
                 }
             } else {
                 bands.iter_mut().zip(sum.chunks_mut(height * plane)).for_each(|(b, s)| b.sums[part].push(s));
+            }
+        }
+        if batch.axis != 2 {
+            let last = if batch.upward { bands.last_mut() } else { bands.first_mut() };
+            if let Some(band) = last.filter(|_| !face.is_empty()) {
+                (band.face, band.face_start) = (&mut face[start * deep..job.layers.end * deep], start);
+            }
+        } else if job.layers.end == layers {
+            for (band, face) in bands.iter_mut().zip(face.chunks_mut(height * deep)) {
+                (band.face, band.face_start) = (face, band.rows.start);
             }
         }
         bands.into_par_iter().with_max_len(1).for_each(|mut band| band::run(&job, &mut band));
@@ -268,25 +342,35 @@ const CHUNK: usize = 1 << 14;
 
 /// Moves the sum into φ; returns the largest change and the largest value.
 fn settle(sum: &[f32], phi: &mut [f32]) -> (f32, f32) {
-    phi.par_chunks_mut(CHUNK)
-        .zip(sum.par_chunks(CHUNK))
-        .map(|(phi, sum)| settle_chunk(sum, phi))
+    let chunks = phi.par_chunks_mut(CHUNK).zip(sum.par_chunks(CHUNK));
+    let settled = chunks.map(|(phi, sum)| {
+        let extremes = extremes_of_chunk(sum, phi);
+        phi.copy_from_slice(sum);
+        extremes
+    });
+    settled.reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1.max(b.1)))
+}
+
+/// The largest change of φ, and its largest new value.
+pub(crate) fn extremes(now: &[f32], before: &[f32]) -> (f32, f32) {
+    let chunks = now.par_chunks(CHUNK).zip(before.par_chunks(CHUNK));
+    chunks
+        .map(|(now, before)| extremes_of_chunk(now, before))
         .reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1.max(b.1)))
 }
 
 dispatch! {
-    fn settle_chunk(sum: &[f32], phi: &mut [f32]) -> (f32, f32) = settle_body;
+    fn extremes_of_chunk(now: &[f32], before: &[f32]) -> (f32, f32) = extremes_body;
 }
 
 #[inline(always)]
-fn settle_body(sum: &[f32], phi: &mut [f32]) -> (f32, f32) {
+fn extremes_body(now: &[f32], before: &[f32]) -> (f32, f32) {
     let mut change = [0.0f32; WIDTH];
     let mut peak = [0.0f32; WIDTH];
-    for (phi, sum) in phi.chunks_mut(WIDTH).zip(sum.chunks(WIDTH)) {
-        for (((p, s), c), m) in phi.iter_mut().zip(sum).zip(&mut change).zip(&mut peak) {
-            *c = c.max((*s - *p).abs());
-            *m = m.max(*s);
-            *p = *s;
+    for (now, before) in now.chunks(WIDTH).zip(before.chunks(WIDTH)) {
+        for (((n, b), c), m) in now.iter().zip(before).zip(&mut change).zip(&mut peak) {
+            *c = c.max((*n - *b).abs());
+            *m = m.max(*n);
         }
     }
     let most = |v: [f32; WIDTH]| v.into_iter().fold(0.0, f32::max);

@@ -51,8 +51,8 @@ fn chunks(gpu: &Gpu, entry: &str, a: &Buffer, b: &Buffer) -> Result<Vec<f32>> {
     gpu.values(&out, groups)
 }
 
-pub(super) fn dot(gpu: &Gpu, a: &Buffer, b: &Buffer) -> Result<f64> {
-    Ok(chunks(gpu, "dot_chunks", a, b)?.into_iter().map(f64::from).sum())
+pub(super) fn dot_parts(gpu: &Gpu, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
+    Ok(chunks(gpu, "dot_chunks", a, b)?.into_iter().map(f64::from).collect())
 }
 
 pub(super) fn distance(gpu: &Gpu, a: &Buffer, b: &Buffer) -> Result<f32> {

@@ -1,6 +1,7 @@
 //! wgpu adapters as devices: Vulkan, Metal and DX12 hardware, and software Vulkan for tests.
 
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use encase::{ShaderType, UniformBuffer, internal::WriteInto};
@@ -9,7 +10,7 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -404,8 +405,8 @@ impl Device for Gpu {
         sweep_point::sweep_point(self, sweep, layout, sigma, rho, fronts)
     }
 
-    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        irradiate::irradiate(self, lamp, grid, rho, out)
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, planes: Range<usize>, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        irradiate::irradiate(self, lamp, grid, planes, rho, out)
     }
 
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
@@ -481,8 +482,19 @@ impl Device for Gpu {
         combine::combine(self, terms, out)
     }
 
-    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
-        combine::dot(self, a, b)
+    fn dot_parts(&self, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
+        combine::dot_parts(self, a, b)
+    }
+
+    fn transport_slab(
+        &self,
+        t: &Transport,
+        passage: &Passage,
+        faces: (&Buffer, &mut Buffer),
+        phi: &mut Buffer,
+        current: Option<[&mut Buffer; 3]>,
+    ) -> Result<()> {
+        transport::transport_slab(self, t, passage, faces, phi, current)
     }
 
     fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {

@@ -14,6 +14,7 @@ pub(super) struct Params {
     forward: f32,
     glows: u32,
     near: f32,
+    first: u32,
     size: UVec3,
     spacing: Vec3,
 }
@@ -42,6 +43,7 @@ pub(super) fn source(
         forward: along.as_ref().map_or(0.0, |a| a.1),
         glows: u32::from(term.emission.is_some()),
         near: term.grid.mean_spacing() as f32,
+        first: (term.plane * term.grid.size[0] * term.grid.size[1]) as u32,
         size: uvec3(term.grid.size),
         spacing,
     };

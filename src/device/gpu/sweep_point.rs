@@ -18,6 +18,7 @@ pub(super) struct Params {
     fraction: Vec3,
     spacing: Vec3,
     counts: UVec3,
+    plane: i32,
 }
 
 pub(super) fn sweep_point(
@@ -38,8 +39,9 @@ pub(super) fn sweep_point(
         fraction: sweep.fraction.into(),
         spacing: sweep.spacing.into(),
         counts: uvec3(layout.counts()),
+        plane: sweep.plane as i32,
     };
-    let values = sweep.size.iter().product();
+    let values = sweep.held(layout, fronts);
     let most = fronts.iter().map(|f| f.len()).max().unwrap_or(0);
     let ghost = gpu.scratch(3 * (layout.edge + 2).pow(2) * most)?;
     let params = gpu.uniform(&params)?;

@@ -59,7 +59,16 @@ impl Paged {
             };
             feeds.push(Feed { store: store(term.values), size: of, planes });
         }
-        self.stream(&feeds, |n, volumes| {
+        let seen = seen(march);
+        let rows: Vec<Range<usize>> = feeds
+            .iter()
+            .map(|feed| {
+                let at = |y: usize| (y as f64 + 0.5) * feed.size[1] as f64 / size[1] as f64 - 0.5;
+                let end = (at(seen.end).ceil() as usize + 2).min(feed.size[1]);
+                (at(seen.start).floor() as usize).saturating_sub(1).min(end)..end
+            })
+            .collect();
+        self.stream_rows(&feeds, &rows, |n, volumes| {
             let terms: Vec<Term> = march
                 .terms
                 .iter()
@@ -93,6 +102,19 @@ fn outward(slabs: Vec<Range<usize>>, eye: usize) -> Vec<Range<usize>> {
     let own = slabs.iter().position(|s| s.contains(&eye)).unwrap_or(0);
     let (below, above) = slabs.split_at(own);
     above.iter().chain(below.iter().rev()).cloned().collect()
+}
+
+/// Rows of the data between which lies all that can be seen, with a brick more on both sides.
+fn seen(march: &March) -> Range<usize> {
+    let [bx, by, _] = march.bricks.counts();
+    let of_row = |row: &[f32]| row.iter().any(|&m| m > 0.0);
+    let shows: Vec<usize> = match march.majorant.is_empty() {
+        true => (0..by).collect(),
+        false => march.majorant.chunks_exact(bx).enumerate().filter(|(_, r)| of_row(r)).map(|(n, _)| n % by).collect(),
+    };
+    let (first, last) = (shows.iter().min().copied().unwrap_or(0), shows.iter().max().copied().unwrap_or(0));
+    let edge = march.bricks.edge;
+    first.saturating_sub(1) * edge..((last + 2) * edge).min(march.grid.size[1])
 }
 
 /// True where some brick that a sample of the slab may be in shows something.

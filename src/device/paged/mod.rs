@@ -6,18 +6,19 @@
 //! same to the bit.
 //!
 //! Data stay where they are, and are read by slab as often as they are needed. Extinction is computed from them as they
-//! come by. Light that does not fit goes to a scratch file. Scattered light is solved in memory.
+//! come by. Light that does not fit goes to a scratch file. The paper's model alone is solved in memory.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport, cpu,
+    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, RUN, Ray, SourceTerm, Storage, Sweep, Term,
+    Transport, cpu,
 };
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -25,11 +26,14 @@ use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
+mod lamp;
 mod march;
+mod scatter;
 mod scratch;
 mod store;
 mod stream;
 mod sweep;
+mod values;
 
 pub(crate) use store::Store;
 use store::{Content, Data, Held, Recipe};
@@ -44,6 +48,8 @@ pub struct Paged {
     resident: Arc<AtomicU64>,
     /// Bytes of data read.
     read: AtomicU64,
+    /// Volumes that a pass of transport works in.
+    spares: Mutex<Vec<Store>>,
 }
 
 /// Budget in bytes below which a device that fails is given up.
@@ -58,7 +64,14 @@ impl Paged {
 
     /// Has `inner` work within `budget` bytes; light that does not fit goes to a file without a name in `folder`.
     pub fn new(inner: Arc<dyn Device>, budget: u64, folder: &Path) -> Self {
-        Paged { inner, budget, folder: folder.into(), resident: Arc::default(), read: AtomicU64::new(0) }
+        Paged {
+            inner,
+            budget,
+            folder: folder.into(),
+            resident: Arc::default(),
+            read: AtomicU64::new(0),
+            spares: Mutex::default(),
+        }
     }
 
     /// Bytes of data read so far.
@@ -92,7 +105,7 @@ impl Paged {
 
     /// Finds a place for what will be written to a volume.
     fn prepare(&self, store: &mut Store) -> Result<()> {
-        store.near.take();
+        store.forget();
         if matches!(store.content, Content::Resident(..) | Content::Scratch(_)) {
             return Ok(());
         }
@@ -115,16 +128,33 @@ impl Paged {
     fn put(&self, from: &Buffer, start: usize, len: usize, into: &mut Store, at: usize) -> Result<()> {
         match &mut into.content {
             Content::Resident(buffer, _) => self.inner.copy(from, start, len, buffer, at),
-            Content::Scratch(scratch) => match from.host() {
-                Some(values) => scratch.write(at, &values[start..start + len]),
-                None => {
-                    let mut values = vec![0.0; start + len];
-                    self.inner.download(from, &mut values)?;
-                    scratch.write(at, &values[start..])
-                }
-            },
+            Content::Scratch(scratch) => scratch.write(at, self.on_host(from, start, len, &mut vec![])?),
             _ => unreachable!("prepared before"),
         }
+    }
+
+    /// `len` values of an inner buffer, from `start` on; in `room` where they are not the host's.
+    fn on_host<'a>(&self, from: &'a Buffer, start: usize, len: usize, room: &'a mut Vec<f32>) -> Result<&'a [f32]> {
+        if let Some(values) = from.host() {
+            return Ok(&values[start..start + len]);
+        }
+        room.resize(start + len, 0.0);
+        self.inner.download(from, room)?;
+        Ok(&room[start..])
+    }
+
+    /// `count` volumes of `len` values to work in, with a place of their own.
+    fn spares(&self, count: usize, len: usize) -> Result<Vec<Store>> {
+        let mut kept = std::mem::take(&mut *self.spares.lock().unwrap_or_else(PoisonError::into_inner));
+        kept.retain(|s| s.len == len);
+        kept.truncate(count);
+        kept.resize_with(count, || Store::new(len, Content::Zero));
+        kept.iter_mut().try_for_each(|s| self.prepare(s))?;
+        Ok(kept)
+    }
+
+    fn keep_spares(&self, spares: Vec<Store>) {
+        *self.spares.lock().unwrap_or_else(PoisonError::into_inner) = spares;
     }
 
     /// A whole volume in the inner device's memory, for kernels that cannot do with slabs.
@@ -143,6 +173,7 @@ impl Paged {
 
     fn near_mut<'a>(&self, buffer: &'a mut Buffer) -> Result<&'a mut Buffer> {
         let store = store_mut(buffer);
+        store.largest.take();
         if !matches!(store.content, Content::Resident(..)) {
             let (inner, held) = match store.near.take() {
                 Some(kept) => kept,
@@ -323,20 +354,9 @@ impl Device for Paged {
     ) -> Result<()> {
         let plane = size[0] * size[1];
         let of = store(field);
-        let bytes: usize = optics.iter().map(|(_, out)| 4 * out.len()).sum();
-        let held = self.resident.load(Ordering::Relaxed);
         let each = Feed::weight(of, data, size[2]) + plane as f64;
         let more = 4.0 * (data[0] * data[1]) as f64;
-        if held + bytes as u64 + (4.0 * (each + more)) as u64 > self.budget {
-            return optics.iter_mut().try_for_each(|(o, out)| self.classify(*o, table, data, field, size, out));
-        }
-        for (_, out) in optics.iter_mut() {
-            let out = store_mut(out);
-            if !matches!(out.content, Content::Resident(..)) {
-                let (buffer, held) = self.hold(out.len)?;
-                *out = Store::new(out.len, Content::Resident(buffer, held));
-            }
-        }
+        optics.iter_mut().try_for_each(|(_, out)| self.prepare(store_mut(out)))?;
         let depth = self.depth(size[2], each, more)?;
         let slabs = slabs(size[2], depth);
         let light = |n: usize| Slab { size, planes: slabs[n].clone() };
@@ -358,12 +378,10 @@ impl Device for Paged {
         }
     }
 
-    fn change(&self, layout: &BrickLayout, now: &Buffer, before: &Buffer) -> Result<Vec<[f32; 3]>> {
-        match (&store(now).content, &store(before).content) {
-            (Content::Resident(now, _), Content::Resident(before, _)) => self.inner.change(layout, now, before),
-            // Nothing is kept of what was read before: anything may have changed.
-            _ => Ok(vec![[f32::INFINITY; 3]; layout.len()]),
-        }
+    /// Anything may have changed: to find out would be to read the data once more and extinction before, and a cold sweep reads
+    /// the data alone.
+    fn change(&self, layout: &BrickLayout, _: &Buffer, _: &Buffer) -> Result<Vec<[f32; 3]>> {
+        Ok(vec![[f32::INFINITY; 3]; layout.len()])
     }
 
     fn restrict_slab(&self, fine: &Slab, values: &Buffer, coarse: &Slab, out: &mut Buffer) -> Result<()> {
@@ -394,39 +412,22 @@ impl Device for Paged {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
-        self.inner.sweep_point(sweep, layout, self.near(sigma)?, self.near_mut(rho)?, fronts)
+        self.sweep_point_slabs(sweep, layout, sigma, rho, fronts)
     }
 
-    fn irradiate(&self, lamp: &Lamp, grid: &Grid, rho: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.inner.irradiate(lamp, grid, self.near(rho)?, self.near_mut(out)?)
+    fn irradiate(&self, lamp: &Lamp, grid: &Grid, planes: Range<usize>, rho: &Buffer, out: &mut Buffer) -> Result<()> {
+        assert!(planes == (0..grid.size[2]), "slabs are cut here");
+        self.planes(grid.size, 0, &[rho], &mut [out], |held, volumes, made| {
+            self.inner.irradiate(lamp, grid, held, volumes[0], made[0])
+        })
     }
 
     fn source(&self, term: &SourceTerm, source: &mut Buffer, gradient: Option<[&mut Buffer; 3]>) -> Result<()> {
-        let first: Vec<_> =
-            term.first.iter().map(|(rho, e, u)| Ok((self.near(rho)?, *e, *u))).collect::<Result<_>>()?;
-        let current = match term.current {
-            Some(([x, y, z], linear)) => Some(([self.near(x)?, self.near(y)?, self.near(z)?], linear)),
-            None => None,
-        };
-        let term = SourceTerm {
-            sigma: self.near(term.sigma)?,
-            scattering: self.near(term.scattering)?,
-            emission: term.emission.map(|e| self.near(e)).transpose()?,
-            grid: term.grid,
-            first: &first,
-            phi: self.near(term.phi)?,
-            current,
-        };
-        self.inner.source(&term, self.near_mut(source)?, self.three(gradient)?)
+        self.source_slabs(term, source, gradient)
     }
 
     fn transport(&self, t: &Transport, phi: &mut Buffer, current: Option<[&mut Buffer; 3]>) -> Result<(f32, f32)> {
-        let gradient = match t.gradient {
-            Some([x, y, z]) => Some([self.near(x)?, self.near(y)?, self.near(z)?]),
-            None => None,
-        };
-        let t = Transport { sigma: self.near(t.sigma)?, source: self.near(t.source)?, gradient, ..*t };
-        self.inner.transport(&t, self.near_mut(phi)?, self.three(current)?)
+        self.transport_slabs(t, phi, current)
     }
 
     fn convect_layers(
@@ -486,24 +487,37 @@ impl Device for Paged {
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
-        let terms: Vec<_> = terms.iter().map(|(v, w)| Ok((self.near(v)?, *w))).collect::<Result<_>>()?;
-        self.inner.combine(&terms, self.near_mut(out)?)
+        self.combine_runs(terms, out)
     }
 
-    fn dot(&self, a: &Buffer, b: &Buffer) -> Result<f64> {
-        self.inner.dot(self.near(a)?, self.near(b)?)
+    fn dot_parts(&self, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
+        self.dot_runs(a, b)
     }
 
     fn distance(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
-        self.inner.distance(self.near(a)?, self.near(b)?)
+        self.largest_of(a, b, |a, b| self.inner.distance(a, b))
     }
 
     fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
-        self.inner.largest_ratio(self.near(a)?, self.near(b)?)
+        self.largest_of(a, b, |a, b| self.inner.largest_ratio(a, b))
     }
 
     fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.inner.extend(size, self.near(sigma)?, self.near(values)?, self.near_mut(out)?)
+        self.planes(size, 1, &[sigma, values], &mut [out], |held, volumes, made| {
+            self.inner.extend([size[0], size[1], held.len()], volumes[0], volumes[1], made[0])
+        })
+    }
+
+    fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
+        let store = store_mut(into);
+        self.prepare(store)?;
+        if let Content::Resident(inner, _) = &mut store.content {
+            return self.inner.fill(value, inner);
+        }
+        let values = vec![value; RUN.min(store.len)];
+        let Content::Scratch(scratch) = &store.content else { unreachable!("just prepared") };
+        let runs = slabs(store.len, RUN);
+        runs.into_iter().try_for_each(|run| scratch.write(run.start, &values[..run.len()]))
     }
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
@@ -636,13 +650,6 @@ impl Paged {
             e => e,
         };
         run(&Surfaces { field: self.near(s.field).map_err(near)?, ..*s })
-    }
-
-    fn three<'a>(&self, buffers: Option<[&'a mut Buffer; 3]>) -> Result<Option<[&'a mut Buffer; 3]>> {
-        match buffers {
-            Some([x, y, z]) => Ok(Some([self.near_mut(x)?, self.near_mut(y)?, self.near_mut(z)?])),
-            None => Ok(None),
-        }
     }
 
     /// Reads all data once: the number of holes and the range of each brick.

@@ -1,6 +1,7 @@
 //! Where a volume is that may not fit: nowhere yet, in the inner device's memory, in a scratch file, in the file that it
 //! came from, or in a recipe that makes it of what is in such a file.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -17,11 +18,19 @@ pub(crate) struct Store {
     pub(super) content: Content,
     /// A copy in the inner device's memory of what is not there, for kernels that need the whole.
     pub(super) near: OnceLock<(Buffer, Held)>,
+    /// The largest value, where it was asked for.
+    pub(super) largest: OnceLock<f32>,
 }
 
 impl Store {
     pub(super) fn new(len: usize, content: Content) -> Self {
-        Store { len, content, near: OnceLock::new() }
+        Store { len, content, near: OnceLock::new(), largest: OnceLock::new() }
+    }
+
+    /// Forgets what is known of values that will not stay.
+    pub(super) fn forget(&mut self) {
+        self.near.take();
+        self.largest.take();
     }
 }
 
@@ -74,7 +83,12 @@ impl Drop for Held {
 impl Data {
     /// Reads planes, holes marked; adds what was read to `bytes`, and returns the number of holes.
     pub fn read(&self, slab: &Slab, out: &mut [f32], bytes: &AtomicU64) -> Result<u64> {
-        bytes.fetch_add(4 * slab.len() as u64, Ordering::Relaxed);
-        field::read_planes(&*self.field, slab, out, self.clean)
+        self.read_rows(slab, 0..slab.size[1], out, bytes)
+    }
+
+    /// The same for some rows of each plane.
+    pub fn read_rows(&self, slab: &Slab, rows: Range<usize>, out: &mut [f32], bytes: &AtomicU64) -> Result<u64> {
+        bytes.fetch_add(4 * (slab.size[0] * rows.len() * slab.planes.len()) as u64, Ordering::Relaxed);
+        field::read_rows(&*self.field, slab, rows, out, self.clean)
     }
 }

@@ -32,6 +32,8 @@ struct Reading<'a> {
     from: From<'a>,
     size: [usize; 3],
     planes: Vec<Range<usize>>,
+    /// The rows of each plane that are needed.
+    rows: Range<usize>,
     /// Planes that the next slab needs too, and their values.
     kept: (Range<usize>, Vec<f32>),
 }
@@ -52,7 +54,7 @@ impl<'a> Feed<'a> {
                 (From::Data(&recipe.data), recipe.data.size, self.planes.iter().map(under).collect())
             }
         };
-        Reading { from, size, planes, kept: (0..0, vec![]) }
+        Reading { from, size, planes, rows: 0..size[1], kept: (0..0, vec![]) }
     }
 
     /// Values of the inner device that the deepest slab of this volume takes, for each plane of another volume of `of` planes:
@@ -98,10 +100,16 @@ impl Reading<'_> {
         }
         for planes in missing.into_iter().filter(|p| !p.is_empty()) {
             let out = &mut out[(planes.start - wanted.start) * plane..(planes.end - wanted.start) * plane];
+            let (nx, rows) = (self.size[0], self.rows.clone());
             match &self.from {
                 From::Nowhere => {}
-                From::Scratch(scratch) => scratch.read(planes.start * plane, out)?,
-                From::Data(data) => drop(data.read(&Slab { size: self.size, planes }, out, &paged.read)?),
+                From::Scratch(scratch) if plane == nx * rows.len() => scratch.read(planes.start * plane, out)?,
+                From::Scratch(scratch) => {
+                    for (p, out) in planes.zip(out.chunks_exact_mut(plane)) {
+                        scratch.read(p * plane + rows.start * nx, &mut out[rows.start * nx..rows.end * nx])?;
+                    }
+                }
+                From::Data(data) => drop(data.read_rows(&Slab { size: self.size, planes }, rows, out, &paged.read)?),
             }
         }
         // Also those that a step after the next needs, where the next needs none.
@@ -129,9 +137,20 @@ struct Place {
 
 impl Paged {
     /// Calls `each` with the number of every step and the volumes' planes, in the inner device's memory.
-    pub(super) fn stream(&self, feeds: &[Feed], mut each: impl FnMut(usize, &[&Buffer]) -> Result<()>) -> Result<()> {
+    pub(super) fn stream(&self, feeds: &[Feed], each: impl FnMut(usize, &[&Buffer]) -> Result<()>) -> Result<()> {
+        self.stream_rows(feeds, &[], each)
+    }
+
+    /// The same with only some rows of each plane of the first volumes, which are no recipes; other rows hold anything.
+    pub(super) fn stream_rows(
+        &self,
+        feeds: &[Feed],
+        rows: &[Range<usize>],
+        mut each: impl FnMut(usize, &[&Buffer]) -> Result<()>,
+    ) -> Result<()> {
         let steps = feeds.first().map_or(0, |f| f.planes.len());
         let mut readings: Vec<Reading> = feeds.iter().map(Feed::reading).collect();
+        readings.iter_mut().zip(rows).for_each(|(r, rows)| r.rows = rows.clone());
         let rooms: Vec<usize> = readings.iter().map(Reading::room).collect();
         let mut places = feeds.iter().zip(&rooms).map(|(f, room)| self.place(f, *room)).collect::<Result<Vec<_>>>()?;
         let (full_tx, full_rx) = bounded::<Result<Step>>(0);

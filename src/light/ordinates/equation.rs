@@ -93,6 +93,7 @@ impl Equation<'_> {
                     scattering,
                     emission: self.emission,
                     grid: self.grid,
+                    plane: 0,
                     first: self.first,
                     phi: &x.phi,
                     current: x.current.as_ref().map(|c| (c.each_ref(), self.linear)),

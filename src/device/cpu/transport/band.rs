@@ -125,6 +125,23 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
         let reach = job.layers.end - 1 - l;
         for j in band.rows.start.saturating_sub(reach)..(band.rows.end + reach).min(rows) {
             let own = band.rows.contains(&j);
+            let [first, last] = job.outer(l, j);
+            if let (Some(given), Some(outer)) = (job.given, first) {
+                for (n, lane) in lanes.iter().enumerate() {
+                    let here = at(j) + n * stride;
+                    now[here..][..cols].copy_from_slice(&given[(outer * lanes.len() + n) * cols..][..cols]);
+                    if job.linear() {
+                        let from = std::array::from_fn(|f| field(f + 1, l, j));
+                        towards(&lane.omega, from, &mut emitted_now[here..]);
+                    }
+                }
+                if own {
+                    // The slab before has summed this plane.
+                    row.fill(0.0);
+                    deposit(job, band, (l, j), row, sums);
+                }
+                continue;
+            }
             let beside = |step: isize| j.checked_add_signed(step).filter(|&b| b < rows);
             // A neighbouring band's rows are needed only by lanes that come from its side.
             let needed = |step: isize| own || (step < 0) == (j < band.rows.start);
@@ -199,6 +216,12 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
             }
             if own {
                 deposit(job, band, (l, j), row, sums);
+            }
+            if let Some(outer) = last.filter(|_| own && !band.face.is_empty()) {
+                for n in 0..lanes.len() {
+                    let into = &mut band.face[((outer - band.face_start) * lanes.len() + n) * cols..][..cols];
+                    into.copy_from_slice(&now[at(j) + n * stride..][..cols]);
+                }
             }
         }
         std::mem::swap(&mut before, &mut now);
