@@ -725,7 +725,7 @@ fn what_cannot_be_shown_is_said_by_key() {
             other => panic!("{text}: {other}"),
         }
     }
-    let both = refused("[light]\nmodel = \"paper\"").to_string();
+    let both = refused("[isosurface]\nlight = \"both\"\n[light]\nmodel = \"paper\"").to_string();
     assert!(both.contains("isosurface.light"), "{both}");
     let steep = refused("[isosurface]\nbeauty = \"prefiltered\"\nexponent_gradient = 100").to_string();
     assert!(steep.contains("sampled"), "{steep}");

@@ -32,6 +32,7 @@ use sky::Sky;
 /// Isosurfaces.
 pub struct Isosurface {
     keys: IsosurfaceKeys,
+    light: SurfaceLight,
     /// World length between samples in voxels.
     step: f32,
     /// The map's colours from value 0 to 1, scene-linear.
@@ -56,6 +57,9 @@ impl Counts {
     const FINAL: Counts = Counts { diffuse: 64, specular: 128, occlusion: 128, steps: 20, primary: 64, secondary: 16 };
 }
 
+/// The sky of a scene that says nothing of light, from straight below to straight above.
+const FIRST_SKY: [[f32; 3]; 3] = [[0.2, 0.17, 0.15], [0.55, 0.55, 0.55], [1.35, 1.45, 1.6]];
+
 /// Rays worked on at a time: their hits and sums take 30 MB.
 const BAND: usize = 1 << 18;
 
@@ -67,18 +71,27 @@ impl Isosurface {
     /// [`Error::Unsupported`] for `isosurface.light = "both"` in the paper's model.
     pub fn new(scene: &Scene) -> Result<Self> {
         let keys = scene.isosurface.clone();
-        if keys.light == SurfaceLight::Both && scene.light.model == Model::Paper {
+        let light = keys.light.unwrap_or(match scene.light.model {
+            _ if scene.lights.is_empty() => SurfaceLight::Environment,
+            Model::Physical => SurfaceLight::Both,
+            Model::Paper => SurfaceLight::Volume,
+        });
+        if light == SurfaceLight::Both && scene.light.model == Model::Paper {
             return Err(Error::Unsupported(
                 "isosurface.light = \"both\" with light.model = \"paper\", whose light volume holds the environment too\n  \
                  try: isosurface.light = \"volume\" or \"environment\""
                     .into(),
             ));
         }
-        let mut sky = match keys.light {
-            SurfaceLight::Volume if keys.sss == SssKey::None => None,
-            _ => Sky::new(&lights::resolve(scene)?, keys.sky.as_deref()),
+        let gradient = match &keys.sky {
+            None if light == SurfaceLight::Environment && scene.lights.is_empty() => Some(&FIRST_SKY[..]),
+            given => given.as_deref(),
         };
-        let wants = match keys.light {
+        let mut sky = match light {
+            SurfaceLight::Volume if keys.sss == SssKey::None => None,
+            _ => Sky::new(&lights::resolve(scene)?, gradient),
+        };
+        let wants = match light {
             SurfaceLight::Environment => Some("isosurface.light"),
             _ if keys.sss != SssKey::None => Some("isosurface.sss"),
             _ => None,
@@ -108,6 +121,7 @@ impl Isosurface {
             colors: colors.map(linear).to_vec(),
             sky,
             said: AtomicBool::new(false),
+            light,
             keys,
         })
     }
@@ -183,10 +197,16 @@ impl Renderer for Isosurface {
     ) -> Result<Frame> {
         let (counts, antialias) = self.counts();
         let wanted = Wanted {
-            environment: self.keys.light != SurfaceLight::Volume && self.sky.is_some(),
-            volume: self.keys.light != SurfaceLight::Environment,
+            environment: self.light != SurfaceLight::Volume && self.sky.is_some(),
+            volume: self.light != SurfaceLight::Environment,
             sss: self.keys.sss != SssKey::None,
         };
+        if medium.table.graded.is_some() && matches!(self.keys.attenuation, AttenuationKey::By(_)) && wanted.sss {
+            return Err(Error::Unsupported(
+                "isosurface.attenuation = \"transfer\" with a transfer function of two dimensions\n  try: a number"
+                    .into(),
+            ));
+        }
         let solids = self.surfaces(medium);
         self.look_for(medium, &solids);
         if medium.grid.is_empty() {
@@ -244,11 +264,11 @@ impl Renderer for Isosurface {
     }
 
     fn needs_light(&self) -> bool {
-        self.keys.light != SurfaceLight::Environment
+        self.light != SurfaceLight::Environment
     }
 
     fn needs_scattered_light(&self) -> bool {
-        self.keys.light == SurfaceLight::Volume
+        self.light == SurfaceLight::Volume
     }
 }
 
@@ -324,7 +344,7 @@ impl Passes<'_> {
             let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
             for term in self.light.terms() {
                 // Scattered light holds the environment's, which `both` takes from all around.
-                if keys.light == SurfaceLight::Volume || !matches!(term.weight, Weight::Uniform(_)) {
+                if self.of.light == SurfaceLight::Volume || !matches!(term.weight, Weight::Uniform(_)) {
                     self.device.surface_light(&self.surfaces, &term, hits, &mut sums)?;
                 }
             }

@@ -32,8 +32,8 @@ pub struct IsosurfaceKeys {
     pub spread: PerSurface,
     /// Index of refraction, of Fresnel's weight and of the transmitted lobe's direction.
     pub ior: PerSurface,
-    /// Where surfaces take their light from.
-    pub light: SurfaceLight,
+    /// Where surfaces take their light from. Absent: with `[[lights]]` both, or the volume in the paper's model; without, a sky.
+    pub light: Option<SurfaceLight>,
     /// Light from all around instead of the environment lights: colours from straight below to straight above, even in elevation.
     pub sky: Option<Vec<[f32; 3]>>,
     /// How the environment is looked up.
@@ -68,13 +68,13 @@ impl Default for IsosurfaceKeys {
             color: None,
             opacity: PerSurface::Same(1.0),
             diffuse: PerSurface::Same(0.7),
-            specular: PerSurface::Same(0.1),
-            exponent: PerSurface::Same(40.0),
+            specular: PerSurface::Same(0.04),
+            exponent: PerSurface::Same(30.0),
             exponent_gradient: PerSurface::Same(0.0),
             transmission: PerSurface::Same(0.2),
             spread: PerSurface::Same(10.0),
             ior: PerSurface::Same(1.5),
-            light: SurfaceLight::Both,
+            light: None,
             sky: None,
             beauty: BeautyKey::Sampled,
             estimator: EstimatorKey::Normalised,

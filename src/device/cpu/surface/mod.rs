@@ -217,16 +217,15 @@ impl<'a> Space<'a> {
             here = path.at(to);
             let value = self.volume.at(here);
             let behind = self.sides(value);
-            if behind != before && behind != NOWHERE && before != NOWHERE {
-                if let Some(crossing) = self.bisect(path, [from, to], before, behind) {
-                    if table.is_some() {
-                        let end = density(self.surfaces[crossing.surface as usize].value);
-                        thick += 0.5 * (rho + end) * (crossing.t - from);
-                    } else {
-                        thick = crossing.t;
-                    }
-                    return (Some(crossing), thick);
+            let crosses = behind != before && behind != NOWHERE && before != NOWHERE;
+            if crosses && let Some(crossing) = self.bisect(path, [from, to], before, behind) {
+                if table.is_some() {
+                    let end = density(self.surfaces[crossing.surface as usize].value);
+                    thick += 0.5 * (rho + end) * (crossing.t - from);
+                } else {
+                    thick = crossing.t;
                 }
+                return (Some(crossing), thick);
             }
             if table.is_some() {
                 let end = density(value);
