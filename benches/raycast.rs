@@ -99,6 +99,7 @@ fn main() -> gloaming::Result<()> {
             terms: &terms,
             phong: None,
             camera: &camera,
+            clips: &[],
             step: (0.5 * grid.mean_spacing()) as f32,
         };
         // Interleaved, so that a neighbour on the machine slows both.

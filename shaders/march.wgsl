@@ -1,6 +1,6 @@
 // Ray casting through data lit by light volumes: L = ∫ T σ_t [ω max(0, Σ weight·value) + j/σ_t] ds. A ray is cut into
 // intervals of `step` from where it enters the box, sampled in the middle of each; α = 1 − e^(−σ_t ds).
-// field, gradient, table, sums, majorant, terms, light0…7, rays → rays
+// field, gradient, table, sums, majorant, terms, light0…7, clips, rays → rays
 //
 // Each term has a light buffer of its own, except that the eighth and all further ones share the last.
 //
@@ -36,6 +36,7 @@ struct Params {
     picture: vec2<u32>,
     // First and last plane of the data that is held.
     held: vec2<u32>,
+    clips: u32,
     // Samples are taken whose lower neighbours along z are in these planes, the second excluded.
     cells: vec2<u32>,
 }
@@ -91,6 +92,8 @@ struct Term {
 @group(0) @binding(13) var<storage, read_write> rays: array<f32>;
 @group(0) @binding(14) var<storage, read> gradient: array<f32>;
 @group(0) @binding(15) var<storage, read> sums: array<Sums>;
+
+@group(0) @binding(16) var<storage, read> clips: array<Clip>;
 
 const MAX_TERMS: u32 = 32u;
 // Transmittance below which a ray ends.
@@ -266,7 +269,7 @@ fn march(@builtin(global_invocation_id) id: vec3<u32>) {
         n++;
         let c = cell(params.size, params.held, x);
         let value = data_in(c);
-        if value < HOLE { continue; }
+        if value < HOLE || !kept(x, params.clips) { continue; }
         let ds = end - begin;
         let o = sample(x, 0.5 * ds * along, c, value);
         let sigma = o.extinction;

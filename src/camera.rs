@@ -1,4 +1,4 @@
-//! Pinhole cameras in world space.
+//! Cameras in world space.
 
 use glam::{DVec3, Vec3};
 
@@ -20,6 +20,24 @@ pub struct Camera {
     pub up: Vec3,
     /// Tangent of half the vertical field of view.
     pub tan: f32,
+    /// What is out of focus, in path tracing.
+    pub lens: Lens,
+}
+
+/// A thin lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lens {
+    /// Radius of the aperture, world length; 0 has everything in focus.
+    pub radius: f32,
+    /// World length along the view that is in focus; `None`: where the middle ray meets the medium first.
+    pub focus: Option<f32>,
+    /// Corners of the aperture, a regular polygon in the circle of `radius`, the first on top; below 3 it is the circle.
+    pub blades: u32,
+}
+
+impl Lens {
+    /// Everything is in focus.
+    pub const PINHOLE: Lens = Lens { radius: 0.0, focus: None, blades: 0 };
 }
 
 impl Camera {
@@ -27,7 +45,14 @@ impl Camera {
     pub fn look_at(eye: Vec3, target: Vec3, up: Vec3, fov: f32) -> Self {
         let forward = (target - eye).normalize();
         let right = forward.cross(up).normalize();
-        Camera { eye, forward, right, up: right.cross(forward), tan: (0.5 * fov.to_radians()).tan() }
+        Camera {
+            eye,
+            forward,
+            right,
+            up: right.cross(forward),
+            tan: (0.5 * fov.to_radians()).tan(),
+            lens: Lens::PINHOLE,
+        }
     }
 
     /// Unit direction through the centre of pixel (x, y) of a picture of `size`.
@@ -106,6 +131,11 @@ impl Camera {
             right: right.as_vec3(),
             up: right.cross(view).as_vec3(),
             tan: (tan / keys.zoom) as f32,
+            lens: Lens {
+                radius: (0.5 * keys.aperture) as f32,
+                focus: keys.focus.map(|f| f as f32),
+                blades: keys.blades,
+            },
         })
     }
 }

@@ -15,6 +15,7 @@
 //! | [`medium`], [`light`], [`render`] | algorithms: what to classify, sweep, iterate, skip and march |
 //! | [`source`], [`sink`] | file formats in, file formats out |
 //! | [`mod@compare`] | how far two pictures are apart |
+//! | [`clip`] | media that are cut away |
 //! | [`light_state`] | light kept in a file between runs |
 //! | [`session`], [`pipeline`] | one timestep; a whole series, reading, lighting and writing at once |
 //! | [`insitu`] | a running simulation that hands over its steps |
@@ -26,6 +27,7 @@
 //! Axis order is (z, y, x) in memory, x fastest; sizes are written `[nx, ny, nz]`.
 
 pub mod camera;
+pub mod clip;
 pub mod compare;
 pub mod detail;
 pub mod device;

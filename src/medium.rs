@@ -1,9 +1,10 @@
 //! The medium of one step: data values on the device, the transfer function that gives them optics, and what each brick
 //! holds, so that empty space is never marched.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
-use crate::device::{Buffer, Device, Optic};
+use crate::clip::Clipped;
+use crate::device::{Buffer, Clip, Device, Optic};
 use crate::error::{Error, Result};
 use crate::field::Timestep;
 use crate::grid::{BrickLayout, Grid};
@@ -19,6 +20,8 @@ pub struct Medium {
     pub gradient: Option<Buffer>,
     /// Values to optics.
     pub table: Table,
+    /// Where it is kept: cut away, it neither shows nor casts shadows.
+    pub clips: Vec<Clip>,
     /// Bricks for empty-space skipping.
     pub bricks: BrickLayout,
     /// Smallest and largest value of each brick with a halo of one.
@@ -47,6 +50,7 @@ impl Medium {
         Ok(Medium {
             field: device.alloc(grid.len())?,
             gradient: table.graded.is_some().then(|| device.alloc(grid.len())).transpose()?,
+            clips: vec![],
             ranges: vec![],
             majorant: vec![],
             majorant_before: vec![],
@@ -106,7 +110,7 @@ impl Medium {
         Ok(self.same_table && self.changed(device)?.is_some_and(|c| !c.contains(&true)))
     }
 
-    /// Takes in the values of a step: reads them, marks what is not finite as holes, hands them to the device and finds each
+    /// Takes in the values of a step: reads them, marks what is not finite or cut away as holes, hands them to the device and finds each
     /// brick's range. Returns the number of holes and the range of the other values (`None` when there are none).
     pub fn take(&mut self, device: &dyn Device, step: &Timestep) -> Result<(u64, Option<[f32; 2]>)> {
         if step.grid != self.grid {
@@ -122,7 +126,11 @@ impl Medium {
         if let Some(before) = &mut self.before {
             std::mem::swap(before, &mut self.field);
         }
-        let (holes, ranges) = device.take(&self.grid, &step.field, &self.bricks, &mut self.host, &mut self.field)?;
+        let field = match self.clips.is_empty() {
+            true => step.field.clone(),
+            false => Arc::new(Clipped { field: step.field.clone(), clips: self.clips.clone() }),
+        };
+        let (holes, ranges) = device.take(&self.grid, &field, &self.bricks, &mut self.host, &mut self.field)?;
         self.ranges = ranges;
         if let Some(gradient) = &mut self.gradient {
             device.gradient(&self.grid, &self.field, gradient)?;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::clip::clips;
 use crate::detail::Detail;
 use crate::device::Device;
 use crate::error::{Error, Result};
@@ -65,6 +66,7 @@ impl State {
         let table = transfer.table([0.0, 1.0], data.mean_spacing());
         let grid = Detail::grid(&scene.noise, &data);
         let mut medium = Medium::new(device, grid, table)?;
+        medium.clips = clips(&scene.clip, &grid);
         // Volumes that are read slab after slab would be read twice.
         if scene.light.warm && !device.pages() {
             medium.remember(device)?;

@@ -7,7 +7,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use gloaming::device::convection::{Convected, Convection, Layers};
 use gloaming::device::cpu::Cpu;
 use gloaming::device::slices::Slices;
-use gloaming::device::{Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Transport};
+use gloaming::device::{
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Tally, Trace, Traced, Transport,
+};
 use gloaming::field::{Dense, Timestep};
 use gloaming::frame::Frame;
 use gloaming::grid::{BrickLayout, Slab};
@@ -170,6 +172,10 @@ impl Device for Faulty {
     }
     fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
         self.inner.slice(slices, rays)
+    }
+    fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
+        self.check()?;
+        self.inner.trace(trace, picture, tallies)
     }
 }
 

@@ -174,6 +174,7 @@ fn rays_end_at_what_is_behind() {
         majorant: &medium.majorant,
         terms: &[],
         phong: None,
+        clips: &[],
         camera: &camera,
         step: 0.01,
     };

@@ -78,6 +78,7 @@ impl Shot {
             terms: &terms,
             phong: self.phong,
             camera: &self.camera,
+            clips: &[],
             step: (self.step * self.grid.mean_spacing()) as f32,
         };
         cpu.march(&march, &mut frame).unwrap();
@@ -327,7 +328,7 @@ fn permuting_the_axes_of_everything_changes_nothing() {
                 value(first)
             })
             .collect();
-        let Camera { eye, forward, right, up, tan } = camera;
+        let Camera { eye, forward, right, up, tan, lens } = camera;
         Shot {
             terms: vec![(
                 turned,
@@ -345,7 +346,7 @@ fn permuting_the_axes_of_everything_changes_nothing() {
             ..Shot::homogeneous(
                 turned,
                 linear(0.4, [0.9, 0.6, 0.3]),
-                Camera { eye: vec(eye), forward: vec(forward), right: vec(right), up: vec(up), tan },
+                Camera { eye: vec(eye), forward: vec(forward), right: vec(right), up: vec(up), tan, lens },
             )
         }
         .take()
@@ -428,6 +429,7 @@ fn error_of_the_reference_picture(cubic: bool) -> f64 {
         terms: &[Term { values: &light, grid: &grid, weight: Weight::Phase { direction, irradiance, g: 0.0 } }],
         phong: None,
         camera: &Camera::look_at(Vec3::new(0.5, -2.0, 0.55), Vec3::splat(0.5), Vec3::Z, 28.0),
+        clips: &[],
         step: 1.0 / 256.0,
     };
     let mut frame = Frame::new([256, 256]);

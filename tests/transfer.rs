@@ -67,6 +67,7 @@ fn cast(grid: Grid, values: &[f32], table: &Table, step: f32) -> Vec<[f32; 4]> {
         majorant: &[],
         terms: &terms,
         phong: None,
+        clips: &[],
         camera: &camera,
         step,
     };

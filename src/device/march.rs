@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use super::{Buffer, Lamp};
+use super::{Buffer, Clip, Lamp};
 use crate::camera::Camera;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
@@ -101,6 +101,8 @@ pub struct March<'a> {
     pub phong: Option<Phong>,
     /// The camera.
     pub camera: &'a Camera,
+    /// Where the medium is kept.
+    pub clips: &'a [Clip],
     /// World length between samples; at least a millionth of the box's diagonal is taken.
     pub step: f32,
 }

@@ -17,6 +17,7 @@ use surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 
 mod behind;
 mod buffer;
+mod clip;
 pub mod convection;
 pub mod cpu;
 pub mod emitter;
@@ -33,10 +34,12 @@ mod scatter;
 pub mod slices;
 pub mod surface;
 mod sweep;
+mod trace;
 
 pub use behind::Behind;
 pub use buffer::Buffer;
 pub(crate) use buffer::Storage;
+pub use clip::{Clip, ClipShape};
 pub(crate) use lamp::Falloff;
 pub use lamp::{Cone, Lamp};
 pub use march::{March, Part, Phong, Ray, Term, Weight};
@@ -45,6 +48,7 @@ pub use optic::Optic;
 pub use passage::Passage;
 pub use scatter::{Ordinate, SourceTerm, Transport, Travel};
 pub use sweep::{Edge, PointSweep, Sweep};
+pub use trace::{Phase, Sampling, Surface, Tally, Trace, Traced};
 
 /// Extinction just outside the medium (see [`Device::extend`]), per world length: far too little to dim anything in a
 /// volume of up to 10¹⁰ world lengths, and far above what f32 cannot hold.
@@ -445,6 +449,9 @@ pub trait Device: Send + Sync {
     fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
         self.upload(&vec![value; into.len()], into)
     }
+
+    /// Path tracing: adds samples to the sums of a picture's pixels, row by row. See [`Trace`].
+    fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced>;
 }
 
 fn no_surfaces(device: String) -> Error {

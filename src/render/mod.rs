@@ -14,12 +14,14 @@ use crate::scene::{RenderKind, Scene};
 pub mod denoise;
 pub mod film;
 pub mod isosurface;
+mod pathtrace;
 mod raycast;
 pub mod reuse;
 mod slices;
 mod surfaces;
 
 pub use isosurface::Isosurface;
+pub use pathtrace::Pathtrace;
 pub use raycast::Raycast;
 pub use slices::HalfAngle;
 
@@ -76,6 +78,6 @@ pub fn renderer(scene: &Scene, geometry: Option<&Arc<Geometry>>) -> Result<Box<d
         RenderKind::Raycast => Ok(Box::new(Raycast::new(scene, geometry.cloned()))),
         RenderKind::Slices => Ok(Box::new(HalfAngle::new(scene)?)),
         RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene)?)),
-        RenderKind::Pathtrace => Err(Error::Unsupported("render.kind = \"pathtrace\" in this version".into())),
+        RenderKind::Pathtrace => Ok(Box::new(Pathtrace::new(scene)?)),
     }
 }

@@ -98,6 +98,7 @@ impl Raycast {
             terms: &terms,
             phong: phong(&self.keys, light.lights(), &medium.grid),
             camera,
+            clips: &medium.clips,
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };
         if let Some(surfaces) = &self.surfaces {

@@ -1,6 +1,6 @@
 //! The keys of the scene file and the values they take, in words: the one place that messages quote.
 
-/// Every key as `(dotted name, allowed values)`; keys of `[[lights]]` and `[[cameras]]` are written without their index.
+/// Every key as `(dotted name, allowed values)`; keys of `[[lights]]`, `[[clip]]` and `[[cameras]]` are written without their index.
 pub(super) const KEYS: &[(&str, &str)] = &[
     ("field.name", "the name of a dataset or field, as `gloaming info` lists it"),
     ("field.range", "\"series\", \"step\", or [lo, hi] with lo < hi"),
@@ -24,6 +24,10 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("transfer.albedo", "a number or [red, green, blue], each 0 to 1"),
     ("transfer.anisotropy", "a number between -1 and 1, both excluded"),
     ("transfer.emission", "[[value, radiance], …], values 0 to 1 in ascending order, radiance 0 or more"),
+    ("transfer.diffuse", "[[value, factor], …], both 0 to 1, values in ascending order"),
+    ("transfer.specular", "[[value, factor], …], both 0 to 1, values in ascending order"),
+    ("transfer.roughness", "[[value, roughness], …], both 0 to 1, values in ascending order"),
+    ("transfer.ior", "[[value, index of refraction], …], values 0 to 1 in ascending order, indices from 1 to 10"),
     (
         "lights.kind",
         "\"distant\", \"point\", \"cone\", \"environment\", \"rectangle\", \"disk\", \"ring\", \"box\" or \"sphere\"",
@@ -60,6 +64,12 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("meshes.scale", "a factor above 0"),
     ("meshes.rotate", "[x, y, z] in degrees, finite"),
     ("meshes.position", "[x, y, z], finite"),
+    ("clip.kind", "\"box\" or \"plane\""),
+    ("clip.min", "[x, y, z], each below that of max; -inf for an open side"),
+    ("clip.max", "[x, y, z], each above that of min; inf for an open side"),
+    ("clip.point", "[x, y, z], finite"),
+    ("clip.normal", "[x, y, z], finite and not all 0"),
+    ("clip.invert", "true or false"),
     ("light.model", "\"physical\" or \"paper\""),
     ("light.resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
     ("light.direct_resolution", "a fraction above 0, at most 1, or an integer size from 2 to 4096"),
@@ -87,7 +97,8 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("cameras.orbit", "degrees per step, finite"),
     ("cameras.aperture", "a world length, 0 or more"),
     ("cameras.focus", "a world length above 0"),
-    ("render.kind", "\"raycast\", \"isosurface\" or \"slices\" (\"pathtrace\" is to come)"),
+    ("cameras.blades", "0 for a circle, or an integer from 3 to 64"),
+    ("render.kind", "\"raycast\", \"pathtrace\", \"isosurface\" or \"slices\""),
     ("render.size", "[width, height], integers from 1 to 16384"),
     ("render.step", "a length in voxels above 0, at most 16"),
     ("render.preview", "an integer from 1, the data themselves, to 64"),
@@ -103,6 +114,12 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("render.exposure", "a finite factor above 0"),
     ("render.tonemap", "\"srgb\", \"exposure\" or \"none\""),
     ("render.overlay", "a list of \"time\", \"colorbar\" and \"axes\""),
+    ("pathtrace.depth", "an integer from 1 to 100000"),
+    ("pathtrace.scattering", "\"phase\", \"hybrid\" or \"brdf\""),
+    ("pathtrace.gradient_factor", "a number from 0 (phase function alone) to 1"),
+    ("pathtrace.phase", "\"henyey-greenstein\" or \"schlick\""),
+    ("pathtrace.sampling", "\"both\", \"lights\" or \"scattering\""),
+    ("pathtrace.seed", "an integer from 0 to 4294967295"),
     ("pathtrace.denoise", "\"none\", \"knn\" or \"guided\""),
     ("pathtrace.filter", "a standard deviation from 0 to 8 pixels"),
     ("slices.shadows", "true or false"),
@@ -154,7 +171,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
 ];
 
 /// The tables that are lists of tables.
-pub(super) const LISTS: [&str; 3] = ["lights", "cameras", "meshes"];
+pub(super) const LISTS: [&str; 4] = ["lights", "meshes", "clip", "cameras"];
 
 /// What a key may be; `lights.2.color` is looked up as `lights.color`.
 pub(super) fn allowed(key: &str) -> &'static str {

@@ -9,8 +9,8 @@ use toml::{Table, Value};
 
 use super::allowed::{KEYS, LISTS, allowed, keys_of, nearest, tables};
 use super::{
-    CameraKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MeshKeys, MovieKeys, NoiseKeys, PathtraceKeys,
-    RenderKeys, Scene, SlicesKeys, SolverKeys, TransferKeys,
+    CameraKeys, ClipKeys, FieldKeys, InSituKeys, IsosurfaceKeys, LightKeys, MeshKeys, MovieKeys, NoiseKeys,
+    PathtraceKeys, RenderKeys, Scene, SlicesKeys, SolverKeys, TransferKeys,
 };
 use crate::error::{Error, Result};
 
@@ -147,6 +147,7 @@ impl Document {
             lights: self.list::<LightKeys>("lights")?,
             meshes: self.list::<MeshKeys>("meshes")?,
             light: self.table::<SolverKeys>("light")?,
+            clip: self.list::<ClipKeys>("clip")?,
             cameras: self.list::<CameraKeys>("cameras")?,
             render: self.table::<RenderKeys>("render")?,
             pathtrace: self.table::<PathtraceKeys>("pathtrace")?,

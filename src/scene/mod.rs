@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 mod allowed;
 mod area;
+mod clip;
 mod insitu;
 mod isosurface;
 mod load;
@@ -19,6 +20,7 @@ mod validate;
 
 pub(crate) use allowed::nearest;
 pub use area::{TextureKind, Units};
+pub use clip::{ClipKeys, ClipKind};
 pub use insitu::{InSituKeys, Policy};
 pub use isosurface::{
     AttenuationBy, AttenuationKey, BeautyKey, Blend, EstimatorKey, IsosurfaceKeys, OcclusionKey, PerSurface,
@@ -26,7 +28,7 @@ pub use isosurface::{
 };
 pub use meshes::MeshKeys;
 pub use noise::NoiseKeys;
-pub use pathtrace::{Denoise, PathtraceKeys};
+pub use pathtrace::{Denoise, PathtraceKeys, PhaseKey, SamplingKey, ScatteringKey};
 pub use regions::{RegionKeys, Shape};
 pub use slices::SlicesKeys;
 
@@ -44,6 +46,8 @@ pub struct Scene {
     pub lights: Vec<LightKeys>,
     /// Opaque things in the volume.
     pub meshes: Vec<MeshKeys>,
+    /// Where the medium is cut away.
+    pub clip: Vec<ClipKeys>,
     /// How light is solved.
     pub light: SolverKeys,
     /// The cameras; none given means one that frames the volume.
@@ -141,6 +145,14 @@ pub struct TransferKeys {
     pub anisotropy: f32,
     /// Emitted radiance per reference length as `[value, radiance]`, in the map's colour.
     pub emission: Vec<[f32; 2]>,
+    /// Diffuse reflection of surfaces as `[value, factor]`, a factor on the albedo (path tracing).
+    pub diffuse: Vec<[f32; 2]>,
+    /// Specular reflection of surfaces as `[value, factor]`, a factor on Fresnel's term (path tracing).
+    pub specular: Vec<[f32; 2]>,
+    /// Roughness of surfaces as `[value, roughness]`, 0 smooth to 1 matte (path tracing).
+    pub roughness: Vec<[f32; 2]>,
+    /// Index of refraction of surfaces as `[value, index]` (path tracing).
+    pub ior: Vec<[f32; 2]>,
     /// Parts of the plane of value and gradient magnitude that are seen; beside them `opacity` and `extinction` count only where
     /// they are given.
     pub regions: Vec<RegionKeys>,
@@ -176,6 +188,10 @@ impl Default for TransferKeys {
             painting: None,
             steepest: 0.25,
             preintegrated: false,
+            diffuse: vec![[0.0, 1.0]],
+            specular: vec![[0.0, 1.0]],
+            roughness: vec![[0.0, 0.4]],
+            ior: vec![[0.0, 1.5]],
         }
     }
 }
@@ -474,8 +490,10 @@ pub struct CameraKeys {
     pub orbit: f64,
     /// Diameter of the aperture, world length (path tracing).
     pub aperture: f64,
-    /// Distance in focus, world length (path tracing).
+    /// Distance in focus along the view, world length (path tracing); where the middle ray meets the medium first when absent.
     pub focus: Option<f64>,
+    /// Blades of the aperture, which make it a polygon; 0 for a circle (path tracing).
+    pub blades: u32,
 }
 
 impl Default for CameraKeys {
@@ -492,6 +510,7 @@ impl Default for CameraKeys {
             orbit: 0.0,
             aperture: 0.0,
             focus: None,
+            blades: 0,
         }
     }
 }
@@ -500,7 +519,7 @@ impl Default for CameraKeys {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderKeys {
-    /// raycast, isosurface or slices; pathtrace is to come.
+    /// raycast, pathtrace, isosurface or slices.
     pub kind: RenderKind,
     /// Width and height in pixels.
     pub size: [usize; 2],

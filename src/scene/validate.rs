@@ -5,9 +5,9 @@ use std::fmt::Debug;
 use super::allowed::allowed;
 use super::area;
 use super::{
-    AttenuationKey, CameraKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, MeshKeys, Model,
-    MovieKeys, NoiseKeys, PathtraceKeys, RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys, TextureKind,
-    TransferKeys,
+    AttenuationKey, CameraKeys, ClipKeys, ComponentKey, Falloff, FieldKeys, InSituKeys, LightKeys, LightKind, MeshKeys,
+    Model, MovieKeys, NoiseKeys, PathtraceKeys, RangeKey, RenderKeys, RenderKind, Scene, SlicesKeys, SolverKeys,
+    TextureKind, TransferKeys,
 };
 use crate::error::{Error, Result};
 use crate::transfer::TransferFunction;
@@ -58,8 +58,16 @@ impl Scene {
             )));
         }
         self.area_lights()?;
+        self.clip.iter().enumerate().try_for_each(|(i, keys)| clip(i, keys))?;
+        let cuts = matches!(self.render.kind, RenderKind::Raycast | RenderKind::Pathtrace);
+        if !self.clip.is_empty() && !cuts {
+            return Err(Error::Unsupported(format!(
+                "[[clip]] with render.kind = {:?}\n  try: \"raycast\" or \"pathtrace\"",
+                self.render.kind
+            )));
+        }
         solver(&self.light)?;
-        self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys))?;
+        self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys, self.render.kind))?;
         for (i, keys) in self.cameras.iter().enumerate() {
             let unique = self.cameras[..i].iter().all(|other| other.name != keys.name);
             require(unique, &format!("cameras.{i}.name"), &keys.name)?;
@@ -78,6 +86,13 @@ impl Scene {
         if self.render.preview > 1 && self.transfer.two_dimensional() {
             return Err(Error::Unsupported(
                 "render.preview with transfer.regions or transfer.painting\n  try: render.preview = 1, or transfer.opacity alone"
+                    .into(),
+            ));
+        }
+        if self.render.kind == RenderKind::Pathtrace && (self.transfer.two_dimensional() || self.transfer.preintegrated)
+        {
+            return Err(Error::Unsupported(
+                "render.kind = \"pathtrace\" with transfer.regions, transfer.painting or transfer.preintegrated\n  try: transfer.opacity alone, or render.kind = \"raycast\""
                     .into(),
             ));
         }
@@ -163,6 +178,12 @@ fn transfer(keys: &TransferKeys) -> Result<()> {
             "transfer.preintegrated with transfer.regions or transfer.painting\n  try: one of the two".into(),
         ));
     }
+    let parts = [("diffuse", &keys.diffuse), ("specular", &keys.specular), ("roughness", &keys.roughness)];
+    for (name, points) in parts {
+        require(ascending(points) && points.iter().all(|p| unit(p[1])), &format!("transfer.{name}"), points)?;
+    }
+    let ior = keys.ior.iter().all(|p| (1.0..=10.0).contains(&p[1]));
+    require(ascending(&keys.ior) && ior, "transfer.ior", &keys.ior)?;
     // A painting is read when the session starts.
     TransferFunction::new(&TransferKeys { painting: None, ..keys.clone() }).map(drop)
 }
@@ -179,6 +200,13 @@ fn light(i: usize, keys: &LightKeys) -> Result<()> {
     require(nonnegative(keys.intensity), &key("intensity"), keys.intensity)?;
     require((0.0..=90.0).contains(&keys.softness), &key("softness"), keys.softness)?;
     require(matches!(keys.samples, 1 | 7 | 19), &key("samples"), keys.samples)
+}
+
+fn clip(i: usize, keys: &ClipKeys) -> Result<()> {
+    let key = |name: &str| format!("clip.{i}.{name}");
+    require((0..3).all(|a| keys.min[a] < keys.max[a]), &key("max"), keys.max)?;
+    require(finite3(keys.point), &key("point"), keys.point)?;
+    require(direction(keys.normal), &key("normal"), keys.normal)
 }
 
 fn solver(keys: &SolverKeys) -> Result<()> {
@@ -199,7 +227,7 @@ fn solver(keys: &SolverKeys) -> Result<()> {
     require(tolerance == 0.0 || (SMALLEST_TOLERANCE..=1.0).contains(&tolerance), "light.tolerance", tolerance)
 }
 
-fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
+fn camera(i: usize, keys: &CameraKeys, kind: RenderKind) -> Result<()> {
     let key = |name: &str| format!("cameras.{i}.{name}");
     require(!keys.name.is_empty() && !keys.name.contains(['/', '\\']), &key("name"), &keys.name)?;
     require(keys.azimuth.is_finite(), &key("azimuth"), keys.azimuth)?;
@@ -218,9 +246,10 @@ fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
     }
     require(keys.aperture >= 0.0 && keys.aperture.is_finite(), &key("aperture"), keys.aperture)?;
     require(keys.focus.is_none_or(|f| f > 0.0 && f.is_finite()), &key("focus"), keys.focus)?;
-    if keys.aperture > 0.0 {
+    require(matches!(keys.blades, 0 | 3..=64), &key("blades"), keys.blades)?;
+    if keys.aperture > 0.0 && kind != RenderKind::Pathtrace {
         return Err(Error::Unsupported(format!(
-            "{} = {}: depth of field needs path tracing, which this version does not have; leave it 0",
+            "{} = {}: depth of field needs render.kind = \"pathtrace\"\n  try: that, or leave it 0",
             key("aperture"),
             keys.aperture
         )));
@@ -229,15 +258,6 @@ fn camera(i: usize, keys: &CameraKeys) -> Result<()> {
 }
 
 fn render(keys: &RenderKeys) -> Result<()> {
-    let kind = match keys.kind {
-        RenderKind::Raycast | RenderKind::Isosurface | RenderKind::Slices => None,
-        RenderKind::Pathtrace => Some("pathtrace"),
-    };
-    if let Some(kind) = kind {
-        return Err(Error::Unsupported(format!(
-            "render.kind = \"{kind}\": this version has \"raycast\", \"isosurface\" and \"slices\""
-        )));
-    }
     require(keys.size.iter().all(|n| (1..=16384).contains(n)), "render.size", keys.size)?;
     require(keys.step > 0.0 && keys.step <= 16.0, "render.step", keys.step)?;
     require((1..=64).contains(&keys.preview), "render.preview", keys.preview)?;
@@ -254,6 +274,8 @@ fn render(keys: &RenderKeys) -> Result<()> {
 }
 
 fn pathtrace(keys: &PathtraceKeys) -> Result<()> {
+    require(keys.depth.is_none_or(|d| (1..=100_000).contains(&d)), "pathtrace.depth", keys.depth)?;
+    require(unit(keys.gradient_factor), "pathtrace.gradient_factor", keys.gradient_factor)?;
     require((0.0..=8.0).contains(&keys.filter), "pathtrace.filter", keys.filter)
 }
 

@@ -8,10 +8,12 @@
 mod colormap;
 mod graded;
 mod region;
+mod surface;
 mod table;
 
 pub use colormap::names;
 pub use graded::Graded;
+pub use surface::surfaces;
 pub use table::{Optics, Table};
 
 use crate::error::Result;

@@ -9,6 +9,7 @@ mod march;
 mod session;
 mod slices;
 mod surface;
+mod trace;
 mod volumes;
 
 use std::sync::{Arc, OnceLock};

@@ -2,7 +2,7 @@
 
 use gloaming::BrickLayout;
 use gloaming::camera::Camera;
-use gloaming::device::{Behind, Cone, Lamp, March, Phong, Term, Weight};
+use gloaming::device::{Behind, Clip, ClipShape, Cone, Lamp, March, Phong, Term, Weight};
 use gloaming::field::EMPTY;
 use gloaming::frame::Frame;
 
@@ -54,6 +54,7 @@ fn picture(d: &dyn Device, camera: &Camera, weights: &[(Weight, bool)], phong: O
                 terms: &terms,
                 phong,
                 camera,
+                clips: &[],
                 step: 0.011,
             },
             &mut frame,
@@ -127,6 +128,7 @@ fn listed_tiles_are_those_of_the_whole_picture() {
             terms: &terms,
             phong: None,
             camera: &cameras()[0],
+            clips: &[],
             step: 0.011,
         };
         let size = [61, 43];
@@ -170,6 +172,7 @@ fn rays_end_alike() {
             terms: &terms,
             phong: None,
             camera: &cameras()[0],
+            clips: &[],
             step: 0.011,
         };
         let (mut whole, mut ends) = (Frame::new(size), Frame::new(size));
@@ -185,4 +188,42 @@ fn rays_end_alike() {
         ends.pixels
     });
     assert_close(want.as_flattened(), got.as_flattened(), 2e-5, "rays that end");
+}
+
+/// Samples that lie right on a cut may fall to either side of it; no others differ.
+#[test]
+fn cuts_agree() {
+    let clips = [
+        Clip { shape: ClipShape::Plane { normal: Vec3::new(1.0, -0.4, 0.2), offset: 6.5 }, invert: false },
+        Clip { shape: ClipShape::Box { low: Vec3::splat(f32::NEG_INFINITY), high: Vec3::splat(35.0) }, invert: true },
+    ];
+    let (grid, table, bricks) = (anisotropic(), table(), BrickLayout::new(ODD, 8));
+    let cast = |d: &dyn Device, clips: &[Clip]| {
+        let field = upload(d, &blobs(ODD));
+        let values = upload(d, &vec![1.0; grid.len()]);
+        let terms = [Term { values: &values, grid: &grid, weight: Weight::Uniform([0.5; 3]) }];
+        let camera = &cameras()[0];
+        let march = March {
+            grid: &grid,
+            field: &field,
+            gradient: None,
+            table: &table,
+            bricks,
+            majorant: &[],
+            terms: &terms,
+            phong: None,
+            camera,
+            clips,
+            step: 0.011,
+        };
+        let mut frame = Frame::new([61, 43]);
+        d.march(&march, &mut frame).unwrap();
+        frame.pixels
+    };
+    let [want, got] = both(|d| cast(d, &clips));
+    let apart = want.iter().zip(&got).filter(|(w, g)| (w[3] - g[3]).abs() > 1e-3).count();
+    assert!(apart * 50 < want.len(), "{apart} pixels differ");
+    let whole = cast(cpu(), &[]);
+    let covered = |pixels: &[[f32; 4]]| pixels.iter().map(|p| p[3]).sum::<f32>();
+    assert!(covered(&want) > 0.05 * covered(&whole) && covered(&want) < 0.95 * covered(&whole));
 }

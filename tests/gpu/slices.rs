@@ -164,6 +164,7 @@ fn marches_by_every_kind_of_table_agree() {
                 majorant: &[],
                 terms: &terms,
                 phong: None,
+                clips: &[],
                 camera: &camera,
                 step: 0.011,
             };

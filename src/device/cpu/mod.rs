@@ -7,7 +7,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Tally, Term, Trace,
+    Traced, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -383,5 +384,9 @@ impl Device for Cpu {
 
     fn dot_parts(&self, a: &Buffer, b: &Buffer) -> Result<Vec<f64>> {
         Ok(self.pool.install(|| combine::dot_parts(host(a), host(b))))
+    }
+
+    fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
+        Ok(self.pool.install(|| trace::trace(trace, host(trace.field), picture, tallies)))
     }
 }

@@ -5,6 +5,7 @@ use std::ops::Range;
 use encase::ShaderType;
 use glam::{DVec3, UVec2, UVec3, Vec3};
 
+use super::clip::clips;
 use super::matter::Matter;
 use super::shader::MARCH;
 use super::{Gpu, holds, uvec3};
@@ -44,6 +45,7 @@ pub(super) struct Params {
     chromatic: Vec3,
     picture: UVec2,
     held: UVec2,
+    clips: u32,
     cells: UVec2,
 }
 
@@ -104,6 +106,7 @@ pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize;
     let params = gpu.uniform(&params)?;
     let terms = gpu.structures(&terms)?;
     let majorant = gpu.storage(march.majorant)?;
+    let clips = gpu.structures(&clips(march.clips))?;
     let unused = gpu.scratch(1)?;
     let mut bindings = vec![
         ("params", &params),
@@ -114,6 +117,7 @@ pub(super) fn march_slab(gpu: &Gpu, march: &March, part: &Part, picture: [usize;
         ("majorant", &majorant),
         ("terms", &terms),
         ("rays", &carried),
+        ("clips", &clips),
     ];
     bindings.extend(LIGHTS.iter().enumerate().map(|(i, name)| (*name, buffers.get(i).unwrap_or(&unused))));
     let mut parts = vec![
@@ -166,6 +170,7 @@ fn params(march: &March, part: &Part, picture: [usize; 2], matter: &Matter) -> P
         chromatic: march.table.chromatic.into(),
         picture: UVec2::new(picture[0] as u32, picture[1] as u32),
         held: ends(&part.field),
+        clips: march.clips.len() as u32,
         cells: UVec2::new(part.cells.start as u32, part.cells.end as u32),
     }
 }

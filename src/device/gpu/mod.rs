@@ -10,7 +10,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Term, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Tally, Term, Trace,
+    Traced, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -20,6 +21,7 @@ use crate::transfer::Table;
 mod adapter;
 mod bricks;
 mod classify;
+mod clip;
 mod combine;
 mod compose;
 mod convect;
@@ -38,6 +40,7 @@ mod source;
 mod surface;
 mod sweep;
 mod sweep_point;
+mod trace;
 mod transport;
 
 pub use adapter::{AdapterReport, adapters};
@@ -586,6 +589,10 @@ impl Device for Gpu {
 
     fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
         surface::light(self, surfaces, term, hits, sums)
+    }
+
+    fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
+        trace::trace(self, trace, picture, tallies)
     }
 }
 

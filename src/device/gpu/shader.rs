@@ -11,7 +11,7 @@ use wgpu::naga;
 
 use super::{
     bricks, classify, convect, diffuse, extend, gradient, irradiate, march, relax, sample, slices, source, surface,
-    sweep, sweep_point, transport,
+    sweep, sweep_point, trace, transport,
 };
 use crate::error::{Error, Result};
 
@@ -78,7 +78,7 @@ pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/sample.wgsl`.
 pub static SAMPLE: Shader = shader!("sample", ["grid"], size_of::<sample::Params>());
 /// See `shaders/march.wgsl`.
-pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp", "matter"], size_of::<march::Params>());
+pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp", "matter", "clip"], size_of::<march::Params>());
 /// See `shaders/gradient.wgsl`.
 pub static GRADIENT: Shader = shader!("gradient", ["grid", "table"], size_of::<gradient::Params>());
 /// See `shaders/slice.wgsl`.
@@ -99,6 +99,10 @@ pub static SURFACE_SUBSURFACE: Shader =
 /// See `shaders/surface_light.wgsl`.
 pub static SURFACE_LIGHT: Shader =
     shader!("surface_light", ["grid", "table", "random", "lamp", "surface"], size_of::<surface::Params>());
+
+/// See `shaders/trace.wgsl`.
+pub static TRACE: Shader =
+    shader!("trace", ["grid", "table", "clip", "numbers", "emitter", "scatter"], size_of::<trace::Params>());
 
 /// Every shader.
 pub fn shaders() -> Vec<&'static Shader> {
@@ -125,6 +129,7 @@ pub fn shaders() -> Vec<&'static Shader> {
         &SURFACE_BEAUTY,
         &SURFACE_SUBSURFACE,
         &SURFACE_LIGHT,
+        &TRACE,
     ]
 }
 

@@ -17,8 +17,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, RUN, Ray, SourceTerm, Storage, Sweep, Term,
-    Transport, cpu,
+    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, RUN, Ray, SourceTerm, Storage, Sweep, Tally, Term,
+    Trace, Traced, Transport, cpu,
 };
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -632,7 +632,20 @@ impl Device for Paged {
     fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
         self.inner.sample(size, self.near(values)?, points, out)
     }
+
+    fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
+        // Paths go anywhere: they want the whole volume.
+        let field = self.near(trace.field).map_err(|e| match e {
+            Error::OutOfMemory { needed, budget } => Error::Unsupported(format!(
+                "path tracing of a volume larger than --memory ({needed} bytes of {budget})\n  try: a larger --memory, \
+                 render.preview = 2, or render.kind = \"raycast\""
+            )),
+            e => e,
+        })?;
+        self.inner.trace(&Trace { field, samples: trace.samples.clone(), ..*trace }, picture, tallies)
+    }
 }
+
 /// Gradients reach beyond the slabs that are held.
 fn two_dimensional() -> Error {
     let what = "transfer.regions and transfer.painting with volumes larger than memory";

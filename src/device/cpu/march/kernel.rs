@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::lanes::{Lanes, opacity};
 use super::plan::{Albedo, Column, Group, Lattice, Matter, Optics, Plan, Summed, Volume};
-use crate::device::{Falloff, March, Phong, Ray, Weight};
+use crate::device::{Clip, ClipShape, Falloff, March, Phong, Ray, Weight};
 
 /// Pixels along the edge of a tile: enough that tiles of a 256² picture keep 64 cores busy, a multiple of every packet.
 pub(super) const TILE: usize = March::TILE;
@@ -493,6 +493,25 @@ fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> 
     V::splat(above).lt(cell) & cell.lt(V::splat(below))
 }
 
+/// Where the medium is not cut away.
+#[inline(always)]
+fn kept<V: Lanes>(clips: &[Clip], position: [V; 3]) -> V::Mask {
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let mut kept = one;
+    for clip in clips {
+        let inside = match clip.shape {
+            ClipShape::Box { low, high } => {
+                let [x, y, z] = three!(a => V::splat(low[a]).lt(position[a]) & position[a].lt(V::splat(high[a])));
+                x & y & z
+            }
+            ClipShape::Plane { normal, offset } => V::splat(offset).lt(dot(position, normal)),
+        };
+        let (yes, no) = if clip.invert { (zero, one) } else { (one, zero) };
+        kept = kept * V::select(inside, yes, no);
+    }
+    zero.lt(kept)
+}
+
 /// Carries a packet of rays on.
 #[inline(always)]
 fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V, state: &mut State<V>) {
@@ -541,7 +560,10 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V,
             let cell = Cell::new(&plan.matter.lattice, position);
             let half = ds * V::splat(0.5);
             let sample = Sample::new(&plan.matter, position, three!(a => half * rays.slope[a]), &cell);
-            let inside = live & zero.lt(ds) & sample.there;
+            let mut inside = live & zero.lt(ds) & sample.there;
+            if !plan.clips.is_empty() {
+                inside = inside & kept(plan.clips, position);
+            }
             let sigma = V::select(inside, sample.extinction(optics), zero);
             let seen = zero.lt(sigma);
             if !V::any(seen) && optics.emission.is_none() {

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 
 use super::empty::Distances;
 use crate::device::cpu::host;
-use crate::device::{Falloff, March, Part, Phong, Weight};
+use crate::device::{Clip, Falloff, March, Part, Phong, Weight};
 use crate::grid::{BrickLayout, Grid, Slab};
 use crate::transfer::Table;
 
@@ -290,6 +290,7 @@ pub(super) struct Plan<'a> {
     pub terms: usize,
     /// Cells along z in which samples are taken lie between these two; `None`: everywhere.
     pub window: Option<[f32; 2]>,
+    pub clips: &'a [Clip],
     pub phong: Option<Phong>,
 }
 
@@ -344,6 +345,7 @@ impl<'a> Plan<'a> {
             groups,
             terms: march.terms.len(),
             window: part.map(|p| [p.cells.start, p.cells.end].map(|c| c as f32 - 0.5)),
+            clips: march.clips,
             phong: march.phong,
         })
     }

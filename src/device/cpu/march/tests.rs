@@ -114,6 +114,7 @@ impl Case {
             terms: &terms,
             phong: self.phong,
             camera: &self.camera,
+            clips: &[],
             step: self.step,
         };
         cast(&march, &mut frame);

@@ -1,4 +1,361 @@
-//! Path tracing on the CPU.
+//! Path tracing: see [`Trace`]. `L = Σ_paths f(path) / p(path)`, one path a sample; the same in `shaders/trace.wgsl`.
+//!
+//! Rows of pixels run in parallel; a sample is the same in whichever thread.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::camera::{Camera, Lens};
+use crate::device::emitter::{Emitter, Hit, Shape};
+use crate::device::{Sampling, Surface, Tally, Trace, Traced};
+use medium::{Collision, Medium};
+use numbers::Numbers;
+use scatter::Lobe;
 
 pub mod emitter;
-pub mod shapes;
+mod medium;
+pub mod numbers;
+pub mod scatter;
+mod shapes;
+
+/// Adds samples to the sums of a picture's pixels on the threads of the current rayon pool.
+pub(crate) fn trace(trace: &Trace, field: &[f32], picture: [usize; 2], tallies: &mut [Tally]) -> Traced {
+    assert_eq!(tallies.len(), picture[0] * picture[1], "a tally for each pixel");
+    if trace.grid.is_empty() || picture.contains(&0) {
+        return Traced::default();
+    }
+    let kernel = Kernel::new(trace, field, picture);
+    let rows = tallies.par_chunks_mut(picture[0]).enumerate();
+    let exceeded = rows.with_max_len(1).map(|(y, row)| kernel.row(y, row)).sum();
+    Traced { exceeded }
+}
+
+/// Scattering from which on paths end at random.
+const ROULETTE: u32 = 3;
+
+/// What a sample brings home.
+#[derive(Default)]
+struct Found {
+    radiance: Vec3,
+    /// Where the medium was met first.
+    first: Option<First>,
+}
+
+struct First {
+    albedo: Vec3,
+    normal: Vec3,
+    depth: f32,
+}
+
+struct Kernel<'a> {
+    medium: Medium<'a>,
+    trace: &'a Trace<'a>,
+    picture: [usize; 2],
+    eye: Vec3,
+    /// Already times tan of half the field of view, and the aspect.
+    right: Vec3,
+    up: Vec3,
+    /// Emitters that rays can meet at some distance.
+    placed: Vec<&'a Emitter>,
+    /// Emitters that rays can meet behind everything.
+    behind: Vec<&'a Emitter>,
+}
+
+impl<'a> Kernel<'a> {
+    fn new(trace: &'a Trace<'a>, field: &'a [f32], picture: [usize; 2]) -> Self {
+        let Camera { eye, right, up, tan, .. } = *trace.camera;
+        let met = |e: &&Emitter| e.shape != Shape::Point && !(e.shape == Shape::Distant && e.edge >= 1.0);
+        let far = |e: &&Emitter| matches!(e.shape, Shape::Distant | Shape::Environment);
+        let (behind, placed) = trace.emitters.iter().filter(met).partition(far);
+        Kernel {
+            medium: Medium::new(trace, field),
+            trace,
+            picture,
+            eye: (eye.as_dvec3() - DVec3::from(trace.grid.origin)).as_vec3(),
+            right: tan * picture[0] as f32 / picture[1] as f32 * right,
+            up: tan * up,
+            placed,
+            behind,
+        }
+    }
+
+    /// Adds the samples of a row; returns how often a majorant was too low.
+    fn row(&self, y: usize, row: &mut [Tally]) -> u64 {
+        let mut exceeded = 0;
+        for (x, tally) in row.iter_mut().enumerate() {
+            for sample in self.trace.samples.clone() {
+                let Found { radiance, first } = self.path([x, y], sample, &mut exceeded);
+                tally.add(radiance, first);
+            }
+        }
+        exceeded
+    }
+
+    /// The ray of a sample from the camera.
+    #[inline]
+    fn ray(&self, [x, y]: [usize; 2], numbers: &Numbers) -> (Vec3, Vec3) {
+        let [u, v] = numbers.pair(0);
+        let at = |i: usize, u: f32, n: usize| 2.0 * (i as f32 + u) / n as f32 - 1.0;
+        let (px, py) = (at(x, u, self.picture[0]), at(y, v, self.picture[1]));
+        let way = self.trace.camera.forward + px * self.right - py * self.up;
+        let Camera { lens, right, up, .. } = *self.trace.camera;
+        let (radius, focus) = (lens.radius, self.trace.focus);
+        if radius <= 0.0 {
+            return (self.eye, way.normalize());
+        }
+        let [a, b] = aperture(lens, numbers.pair(1));
+        let shift = radius * (a * right + b * up);
+        // `way` reaches one length along the view.
+        (self.eye + shift, (focus * way - shift).normalize())
+    }
+
+    #[inline]
+    fn path(&self, pixel: [usize; 2], sample: u32, exceeded: &mut u64) -> Found {
+        let trace = self.trace;
+        let number = (pixel[1] * self.picture[0] + pixel[0]) as u32;
+        let mut numbers = Numbers::new(number, sample, trace.seed);
+        let ray = self.ray(pixel, &numbers);
+        let (mut origin, mut way) = ray;
+        let mut found = Found::default();
+        let mut weight = Vec3::ONE;
+        // Density with which the way was chosen.
+        let mut pdf = 0.0;
+        for bounce in 0..=trace.depth {
+            // The last ray only looks for light.
+            if bounce > 0 && bounce == trace.depth && self.blind() {
+                break;
+            }
+            let [flight, choice] = if bounce == 0 { numbers.pair(2) } else { [numbers.next(), numbers.next()] };
+            let collision = self.fly(
+                (origin, way),
+                flight,
+                (bounce > 0).then_some(pdf),
+                &mut numbers,
+                &mut weight,
+                &mut found,
+                exceeded,
+            );
+            let Some(collision) = collision else { break };
+            let here = origin + collision.t * way;
+            let albedo = Vec3::from(Medium::column(self.medium.albedo, collision.entry));
+            let gradient = match bounce == 0 || self.medium.surface.is_some() {
+                true => self.medium.gradient(collision.position),
+                false => Vec3::ZERO,
+            };
+            if bounce == 0 {
+                let normal = -(gradient * self.medium.per_length).normalize_or_zero();
+                found.first = Some(First { albedo, normal, depth: collision.t });
+            }
+            if bounce == trace.depth {
+                break;
+            }
+            let lobe = self.lobe(&collision, albedo, gradient, way, numbers.next());
+
+            let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.next(), numbers.next()] };
+            let third = numbers.next();
+            found.radiance +=
+                weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], &mut numbers, exceeded);
+
+            let xi = if bounce == 0 { numbers.pair(4) } else { [numbers.next(), numbers.next()] };
+            let to = lobe.sample(way, [xi[0], xi[1], numbers.next()]);
+            let (f, p) = lobe.value(way, to);
+            if !(p > 0.0) {
+                break;
+            }
+            weight *= f / p;
+            if bounce + 1 >= ROULETTE {
+                let survival = weight.max_element().min(1.0);
+                if numbers.next() >= survival {
+                    break;
+                }
+                weight /= survival;
+            }
+            if weight == Vec3::ZERO {
+                break;
+            }
+            (origin, way, pdf) = (here, to, p);
+        }
+        found
+    }
+
+    /// True when a ray on its own finds no light.
+    #[inline]
+    fn blind(&self) -> bool {
+        let lights = self.trace.sampling != Sampling::Lights && !(self.placed.is_empty() && self.behind.is_empty());
+        !lights && !self.medium.glows
+    }
+
+    /// Follows a ray to its next collision, and collects what glows and every emitter that it meets before.
+    #[inline]
+    fn fly(
+        &self,
+        ray: (Vec3, Vec3),
+        mut flight: f32,
+        pdf: Option<f32>,
+        numbers: &mut Numbers,
+        weight: &mut Vec3,
+        found: &mut Found,
+        exceeded: &mut u64,
+    ) -> Option<Collision> {
+        let radiance = &mut found.radiance;
+        let mut from = 0.0;
+        while !self.placed.is_empty() {
+            // Free flights have no memory: to the next emitter and on from there is as well as at once.
+            let next = self.next(ray, from, pdf.is_none());
+            let Some((emitter, hit)) = next else { break };
+            let until = from..hit.distance;
+            let collision = self.medium.collide(ray, until, flight, numbers, weight, radiance, exceeded);
+            if collision.is_some() {
+                return collision;
+            }
+            *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
+            from = hit.distance;
+            flight = numbers.next();
+        }
+        let collision = self.medium.collide(ray, from..f32::INFINITY, flight, numbers, weight, radiance, exceeded);
+        if collision.is_none() {
+            for emitter in self.behind.iter().filter(|e| pdf.is_some() || e.visible) {
+                if let Some(hit) = emitter::hit(emitter, self.trace.images, ray.0, ray.1) {
+                    *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
+                }
+            }
+        }
+        collision
+    }
+
+    /// The first emitter that a ray meets beyond a distance.
+    #[inline]
+    fn next(&self, ray: (Vec3, Vec3), beyond: f32, camera: bool) -> Option<(&Emitter, Hit)> {
+        (self.placed.iter().filter(|e| !camera || e.visible))
+            .filter_map(|e| Some((*e, emitter::hit(e, self.trace.images, ray.0, ray.1)?)))
+            .filter(|(_, hit)| hit.distance > beyond)
+            .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
+    }
+
+    /// What a light that a ray has met counts, beside samples of that light.
+    #[inline]
+    fn share(&self, emitter: &Emitter, hit: &Hit, pdf: Option<f32>) -> f32 {
+        match (pdf, self.trace.sampling) {
+            (None, _) | (_, Sampling::Scattering) => 1.0,
+            (_, Sampling::Lights) => 0.0,
+            (Some(pdf), Sampling::Both) => power(pdf, emitter.share * hit.pdf),
+        }
+    }
+
+    /// Light that comes straight from one emitter and goes on against `way`.
+    #[inline]
+    fn light(
+        &self,
+        lobe: &Lobe,
+        here: Vec3,
+        way: Vec3,
+        choice: f32,
+        xi: [f32; 3],
+        numbers: &mut Numbers,
+        exceeded: &mut u64,
+    ) -> Vec3 {
+        let Some(emitter) = choose(self.trace.emitters, choice) else { return Vec3::ZERO };
+        let Some(sample) = emitter::sample(emitter, self.trace.images, here, xi) else { return Vec3::ZERO };
+        let (f, p) = lobe.value(way, sample.direction);
+        let density = emitter.share * if sample.pdf > 0.0 { sample.pdf } else { 1.0 };
+        let counts = match self.trace.sampling {
+            _ if sample.pdf == 0.0 => 1.0,
+            Sampling::Both => power(density, p),
+            Sampling::Lights => 1.0,
+            Sampling::Scattering => 0.0,
+        };
+        let worth = f * sample.radiance * (counts / density);
+        if !(worth.max_element() > 0.0) {
+            return Vec3::ZERO;
+        }
+        worth * self.medium.transmittance((here, sample.direction), 0.0..sample.distance, numbers, exceeded)
+    }
+
+    /// Whether a collision is with a surface or with a cloud (Kroes et al. 2012, (1)–(3)).
+    #[inline]
+    fn lobe(&self, collision: &Collision, albedo: Vec3, gradient: Vec3, way: Vec3, xi: f32) -> Lobe {
+        let cloud = Lobe::Phase { phase: self.trace.phase, albedo };
+        let Some(surface) = self.medium.surface else { return cloud };
+        let normal = -(gradient * self.medium.per_length).normalize_or_zero();
+        let chance = if normal == Vec3::ZERO { 0.0 } else { reflects(&surface, collision.sigma, gradient.length()) };
+        if xi >= chance {
+            return cloud;
+        }
+        let [diffuse, specular, roughness, ior] = Medium::column(surface.columns, collision.entry);
+        let facing = (ior - 1.0) / (ior + 1.0);
+        Lobe::Surface {
+            normal: if normal.dot(way) > 0.0 { -normal } else { normal },
+            diffuse: diffuse * albedo,
+            specular,
+            facing: facing * facing,
+            exponent: scatter::exponent(roughness),
+        }
+    }
+}
+
+/// The probability that a collision is with a surface, of extinction and the change of the normalised value per voxel.
+pub fn reflects(surface: &Surface, sigma: f32, change: f32) -> f32 {
+    match surface.factor {
+        None => 1.0,
+        Some(f) => (1.0 - (-sigma * surface.reference).exp()) * (1.0 - (-25.0 * f * f * f * change).exp()),
+    }
+}
+
+/// Veach & Guibas's power heuristic.
+#[inline]
+fn power(own: f32, other: f32) -> f32 {
+    let ratio = other / own;
+    1.0 / (1.0 + ratio * ratio)
+}
+
+/// An emitter by its share.
+#[inline]
+fn choose(emitters: &[Emitter], mut xi: f32) -> Option<&Emitter> {
+    for emitter in emitters {
+        if xi < emitter.share {
+            return Some(emitter);
+        }
+        xi -= emitter.share;
+    }
+    emitters.last()
+}
+
+/// An even point of an aperture within the unit circle.
+#[inline]
+pub fn aperture(lens: Lens, [u, v]: [f32; 2]) -> [f32; 2] {
+    if lens.blades < 3 {
+        let (r, angle) = (u.sqrt(), std::f32::consts::TAU * v);
+        return [r * angle.cos(), r * angle.sin()];
+    }
+    // A triangle between two neighbouring corners and the middle.
+    let at = v * lens.blades as f32;
+    let corner = |i: f32| {
+        let angle = std::f32::consts::TAU * i / lens.blades as f32;
+        [angle.sin(), angle.cos()]
+    };
+    let (a, b) = (corner(at.floor()), corner(at.floor() + 1.0));
+    let (r, t) = (u.sqrt(), at - at.floor());
+    std::array::from_fn(|i| r * (a[i] * (1.0 - t) + b[i] * t))
+}
+
+impl Tally {
+    #[inline]
+    fn add(&mut self, radiance: Vec3, first: Option<First>) {
+        // One sample that is not finite would be a pixel that never is.
+        let radiance = if radiance.is_finite() { radiance } else { Vec3::ZERO };
+        self.samples += 1;
+        for c in 0..3 {
+            let value = f64::from(radiance[c]);
+            self.radiance[c] += value;
+            self.squares[c] += value * value;
+        }
+        if let Some(First { albedo, normal, depth }) = first {
+            self.coverage += 1.0;
+            self.depth += depth;
+            for c in 0..3 {
+                self.albedo[c] += albedo[c];
+                self.normal[c] += normal[c];
+            }
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! Path tracing (Kroes et al. 2012): pictures that converge to the truth as `n^−½`, which everything faster is held against.
+
+use std::time::{Duration, Instant};
+
+use crate::camera::{Camera, Lens};
+use crate::device::emitter::Emitter;
+use crate::device::{Device, Phase, Sampling, Surface, Tally, Trace};
+use crate::error::Result;
+use crate::frame::{Display, Frame, Layer};
+use crate::light::LightVolume;
+use crate::lights::Emitters;
+use crate::medium::Medium;
+use crate::render::Renderer;
+use crate::render::denoise::{self, Guides};
+use crate::render::film::{Film, Moments, Stop};
+use crate::scene::{PathtraceKeys, PhaseKey, RenderKeys, SamplingKey, ScatteringKey, Scene};
+use crate::transfer::{Table, surfaces};
+
+/// Path tracing.
+pub struct Pathtrace {
+    keys: PathtraceKeys,
+    render: RenderKeys,
+    emitters: Emitters,
+    depth: u32,
+    phase: Phase,
+    /// Reference length of opacity in voxels, and surfaces for each entry of the table.
+    reference: f64,
+    surfaces: Vec<[f32; 4]>,
+}
+
+impl Pathtrace {
+    /// More scatterings matter to no picture: paths end at random long before.
+    const DEEPEST: u32 = 100_000;
+    /// Samples between two looks at the error and the clock.
+    const BATCH: u32 = 16;
+    /// Samples that find what to focus on.
+    const FOCUS: u32 = 256;
+
+    /// Path tracing as a scene says.
+    ///
+    /// # Errors
+    /// Those of [`Emitters::new`].
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let g = scene.transfer.anisotropy;
+        Ok(Pathtrace {
+            keys: scene.pathtrace.clone(),
+            render: scene.render.clone(),
+            emitters: Emitters::new(scene)?,
+            depth: scene.pathtrace.depth.unwrap_or(if scene.light.scattering { Self::DEEPEST } else { 1 }),
+            phase: match scene.pathtrace.phase {
+                PhaseKey::HenyeyGreenstein => Phase::HenyeyGreenstein(g),
+                PhaseKey::Schlick => Phase::Schlick(g),
+            },
+            reference: scene.transfer.reference,
+            surfaces: surfaces(&scene.transfer),
+        })
+    }
+
+    /// Everything but which samples of which picture.
+    fn scene<'a>(
+        &'a self,
+        medium: &'a Medium,
+        majorant: &'a [f32],
+        emitters: &'a [Emitter],
+        camera: &'a Camera,
+    ) -> Trace<'a> {
+        let factor = match self.keys.scattering {
+            ScatteringKey::Phase => None,
+            ScatteringKey::Hybrid => Some(Some(self.keys.gradient_factor)),
+            ScatteringKey::Brdf => Some(None),
+        };
+        let reference = (self.reference * medium.grid.mean_spacing()) as f32;
+        Trace {
+            grid: &medium.grid,
+            field: &medium.field,
+            table: &medium.table,
+            surface: factor.map(|factor| Surface { factor, columns: &self.surfaces, reference }),
+            bricks: medium.bricks,
+            majorant,
+            emitters,
+            images: self.emitters.images(),
+            camera,
+            focus: camera.lens.focus.unwrap_or(1.0),
+            clips: &medium.clips,
+            phase: self.phase,
+            sampling: match self.keys.sampling {
+                SamplingKey::Both => Sampling::Both,
+                SamplingKey::Lights => Sampling::Lights,
+                SamplingKey::Scattering => Sampling::Scattering,
+            },
+            depth: self.depth,
+            seed: self.keys.seed,
+            samples: 0..0,
+        }
+    }
+
+    /// Takes samples until there are enough.
+    fn expose(&self, device: &dyn Device, mut trace: Trace, size: [usize; 2]) -> Result<(Film, Vec<Tally>)> {
+        let stop = Stop {
+            samples: u32::try_from(self.render.samples).unwrap_or(u32::MAX),
+            budget: self.render.budget_ms.map(|ms| Duration::from_secs_f64(1e-3 * ms)),
+            error: self.render.target_error,
+        };
+        let mut tallies = vec![Tally::default(); size[0] * size[1]];
+        let mut film = Film::new(size);
+        let (begun, mut exceeded) = (Instant::now(), 0);
+        loop {
+            let more = stop.more(&film, begun.elapsed(), Self::BATCH);
+            if more == 0 {
+                break;
+            }
+            trace.samples = trace.samples.end..trace.samples.end + more;
+            exceeded += device.trace(&trace, size, &mut tallies)?.exceeded;
+            film.pixels.iter_mut().zip(&tallies).for_each(|(pixel, tally)| *pixel = moments(tally));
+        }
+        if exceeded > 0 {
+            tracing::warn!("extinction was above its bound in {exceeded} collisions: the picture is too bright there");
+        }
+        Ok((film, tallies))
+    }
+}
+
+impl Renderer for Pathtrace {
+    fn render(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        _: &LightVolume,
+        camera: &Camera,
+        size: [usize; 2],
+    ) -> Result<Frame> {
+        let emitters = self.emitters.on(&medium.grid);
+        let majorant = majorants(medium);
+        let mut trace = self.scene(medium, &majorant, &emitters, camera);
+        if camera.lens.radius > 0.0 && camera.lens.focus.is_none() {
+            trace.focus = focus(device, &trace)?;
+        }
+        let (film, tallies) = self.expose(device, trace, size)?;
+
+        let estimate = film.estimate();
+        let per_sample = |tally: &Tally, v: f32| v / tally.samples.max(1) as f32;
+        let albedo: Vec<[f32; 3]> = tallies.iter().map(|t| t.albedo.map(|v| per_sample(t, v))).collect();
+        let normal: Vec<[f32; 3]> = tallies.iter().map(|t| t.normal.map(|v| per_sample(t, v))).collect();
+        let depth: Vec<f32> = tallies.iter().map(|t| per_sample(t, t.depth)).collect();
+        let guides = Guides { albedo: &albedo, normal: &normal, depth: &depth };
+        let display = Display::from(&self.render);
+        let finished = denoise::finished(&estimate, &guides, self.keys.denoise, self.keys.filter, &display);
+
+        let layer = |name: &str, channels: &str, values| Layer { name: name.into(), channels: channels.into(), values };
+        let layers = vec![
+            layer("albedo", "RGB", albedo.into_flattened()),
+            layer("normal", "XYZ", normal.into_flattened()),
+            layer("depth", "V", tallies.iter().map(|t| t.depth / t.coverage.max(1.0) as f32).collect()),
+            finished.layer(),
+            film.layer(),
+        ];
+        Ok(Frame { size, pixels: finished.pixels, layers })
+    }
+
+    fn needs_light(&self) -> bool {
+        false
+    }
+}
+
+/// What a film keeps of a pixel's sums.
+fn moments(tally: &Tally) -> Moments {
+    let n = f64::from(tally.samples.max(1));
+    let mean = tally.radiance.map(|sum| sum / n);
+    Moments {
+        count: tally.samples,
+        mean: [mean[0] as f32, mean[1] as f32, mean[2] as f32, (tally.coverage / n) as f32],
+        squares: std::array::from_fn(|c| (tally.squares[c] - n * mean[c] * mean[c]).max(0.0) as f32),
+    }
+}
+
+/// A bound on extinction in each brick, above 0 also where something glows, so that paths look there: at least once in two voxels.
+fn majorants(medium: &Medium) -> Vec<f32> {
+    let glows = !medium.table.emission.is_empty();
+    let dark = Table { emission: vec![], ..medium.table.clone() };
+    let extinction = dark.majorants(&medium.ranges);
+    let least = (0.5 / medium.grid.mean_spacing()) as f32;
+    let bound = |(sigma, seen): (f32, &f32)| if glows && *seen > 0.0 { sigma.max(least) } else { sigma };
+    extinction.into_iter().zip(&medium.majorant).map(bound).collect()
+}
+
+/// Where the middle ray meets the medium, in the mean over its paths; the middle of the volume where it meets none.
+fn focus(device: &dyn Device, trace: &Trace) -> Result<f32> {
+    // A picture of one pixel that is a point.
+    let camera = Camera { tan: 1e-6, lens: Lens::PINHOLE, ..*trace.camera };
+    let ray = Trace { camera: &camera, depth: 0, samples: 0..Pathtrace::FOCUS, ..*trace };
+    let mut tally = [Tally::default()];
+    device.trace(&ray, [1, 1], &mut tally)?;
+    let (lo, hi) = trace.grid.bounds();
+    let middle = (0.5 * (lo + hi) - camera.eye.as_dvec3()).as_vec3().dot(camera.forward);
+    let met = tally[0].depth / tally[0].coverage.max(1.0) as f32;
+    Ok(if tally[0].coverage > 0.0 { met } else { middle.max(f32::MIN_POSITIVE) })
+}
