@@ -229,7 +229,8 @@ fn the_readmes_commands_build_against_what_was_installed() {
     std::fs::write(out.path().join("minimal.c"), shorter(&std::fs::read_to_string(example("minimal.c")).unwrap()))
         .unwrap();
     let block = |kind: &str, has: &str| {
-        let blocks = readme.split(&format!("```{kind}\n")).skip(1).filter_map(|b| b.split("```").next());
+        let fence = format!("```{kind}\n");
+        let blocks = readme.split(&fence).skip(1).filter_map(|b| b.split("```").next());
         let found = blocks.filter(|b| b.contains(has)).collect::<Vec<_>>();
         assert_eq!(found.len(), 1, "blocks of {kind} with {has}");
         found[0].to_string()
