@@ -14,7 +14,7 @@ use gloaming::source::{self, SourceSpec};
 
 const COMMON: [&str; 8] = [
     "transfer.colormap=white",
-    "transfer.opacity=[[0, 0], [1, 0.15]]",
+    "transfer.opacity=[[0, 0], [1, 0.1]]",
     "light.scattering=false",
     "light.interpolation=cubic",
     "light.warm=false",
@@ -91,7 +91,7 @@ fn main() -> gloaming::Result<()> {
     for (what, more) in [
         ("translucent, blurred", &["slices.attenuation=[0.4, 0.6, 0.8]", "slices.blur=40"][..]),
         ("without shadows", &["slices.shadows=false"]),
-        ("light buffer at half resolution", &["slices.resolution=0.5"]),
+        ("light buffer at half resolution", &["slices.resolution=0.75"]),
         ("slices a voxel apart", &["render.step=1"]),
     ] {
         let light = direction(60.0);

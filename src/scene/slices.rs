@@ -23,6 +23,6 @@ pub struct SlicesKeys {
 
 impl Default for SlicesKeys {
     fn default() -> Self {
-        SlicesKeys { shadows: true, resolution: 1.0, attenuation: NumberOrRgb::Number(1.0), blur: 0.0, spotlight: None }
+        SlicesKeys { shadows: true, resolution: 1.5, attenuation: NumberOrRgb::Number(1.0), blur: 0.0, spotlight: None }
     }
 }
