@@ -148,7 +148,7 @@ pub fn working_set(scene: &Scene, grid: &Grid) -> Result<u64> {
 }
 
 /// The least budget that leaves `lighting` bytes beside what sources keep [`decoded`](source::decoded).
-fn with_decoded(lighting: u64) -> u64 {
+pub fn with_decoded(lighting: u64) -> u64 {
     lighting + source::DECODED.min(lighting.div_ceil(3))
 }
 

@@ -120,7 +120,17 @@ fn failures_are_status_1_and_said_once() {
         (render(&["--out", "a.png"]), "{step"),
         (vec!["render", "ball_*.raw", RAW[0], RAW[1], "--out", "a_{step}.png", "--device", "no such"], "device: "),
         (render(&["--out", "a_{step}.png", "--memory", "1000"]), "--memory"),
-        (render(&["--out", "a_{step}.png", "--set", "render.kind=slices"]), "raycast"),
+        (
+            render(&[
+                "--out",
+                "a_{step}.png",
+                "--set",
+                "transfer.preintegrated=true",
+                "--set",
+                "render.kind=pathtrace",
+            ]),
+            "raycast",
+        ),
         (vec!["compare", "missing.exr", "missing.exr"], "missing.exr"),
     ] {
         let arguments: Vec<_> = arguments.into_iter().collect();

@@ -350,7 +350,8 @@ const SMOKE_SETS: [&str; 5] = [
 
 fn smallest_for_smoke() -> u64 {
     let series = source::open(&SourceSpec { series: vec![SMOKE.into()], ..Default::default() }).unwrap();
-    memory::smallest(&Scene::load(None, &SMOKE_SETS.map(String::from)).unwrap(), &series.grid()).unwrap()
+    let scene = Scene::load(None, &SMOKE_SETS.map(String::from)).unwrap();
+    memory::with_decoded(memory::smallest(&scene, &series.grid()).unwrap())
 }
 
 #[test]

@@ -221,15 +221,15 @@ fn majorants_change_the_noise_alone_and_low_ones_are_noticed() {
         }
         (sum, variance)
     };
-    let (bricks, own) = light(&tallies(&stage.device, &[Trace { samples: 0..400, ..stage.trace() }]));
+    let (bricks, own) = light(&tallies(&stage.device, &[Trace { samples: 0..1200, ..stage.trace() }]));
     let one = BrickLayout::new([16; 3], 16);
     let most = stage.majorant.iter().fold(0.0f32, |m, v| m.max(*v));
     let (global, other) =
-        light(&tallies(&stage.device, &[Trace { bricks: one, majorant: &[most], samples: 0..400, ..stage.trace() }]));
+        light(&tallies(&stage.device, &[Trace { bricks: one, majorant: &[most], samples: 0..1200, ..stage.trace() }]));
     assert!((bricks - global).abs() < 4.0 * (own + other).sqrt(), "{bricks} {global} ± {}", (own + other).sqrt());
     let loose: Vec<f32> = stage.majorant.iter().map(|m| 2.5 * m).collect();
     let (loose, other) =
-        light(&tallies(&stage.device, &[Trace { majorant: &loose, samples: 0..400, ..stage.trace() }]));
+        light(&tallies(&stage.device, &[Trace { majorant: &loose, samples: 0..1200, ..stage.trace() }]));
     assert!((bricks - loose).abs() < 4.0 * (own + other).sqrt(), "{bricks} {loose}");
     assert!(4.0 * (own + other).sqrt() < 0.1 * bricks, "the bound would see a tenth");
 

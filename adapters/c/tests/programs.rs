@@ -222,7 +222,7 @@ fn the_readmes_commands_build_against_what_was_installed() {
     let installed = out.path().join("installed");
     std::os::unix::fs::symlink(prefix(), &installed).unwrap();
     let readme = std::fs::read_to_string(Path::new(FOLDER).join("../../README.md")).unwrap();
-    for name in ["heat.c", "wave.cpp", "advect.f90"] {
+    for name in ["heat.c", "held.h", "wave.cpp", "advect.f90"] {
         std::fs::copy(example(name), out.path().join(name)).unwrap();
     }
     let shorter = |program: &str| program.replace("#define N 64", "#define N 12").replace("step < 48", "step < 2");

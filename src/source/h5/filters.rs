@@ -77,6 +77,11 @@ pub(crate) fn name_of(id: i32) -> &'static str {
 }
 
 impl Pipeline {
+    /// True when chunks are stored as they are.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// The filters of a dataset whose elements have `element` bytes; `None` when HDF5 has to decode it: there are
     /// filters that only HDF5 or a plugin of its knows.
     pub fn of(dataset: &Dataset, element: usize) -> Option<Pipeline> {
