@@ -328,8 +328,8 @@ fn arriving<V: Lanes>(shine: &Shine, layers: &[f32], k: usize, position: [V; 3])
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     // Fades within a hair, so that what two passes share of a sample on their border adds up to 1 whatever the rounding.
     let mut mine = V::select(zero.lt(c), one, zero);
-    for n in 0..2 {
-        let inside = V::splat(lookup.inner[n]) - q[n].max(zero - q[n]);
+    for (at, inner) in q.into_iter().zip(lookup.inner) {
+        let inside = V::splat(inner) - at.max(zero - at);
         mine = mine * (inside * V::splat(0.5 / Beam::FADE) + V::splat(0.5)).max(zero).min(one);
     }
     if texels.channels == 1 {
