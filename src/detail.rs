@@ -208,7 +208,7 @@ impl Detailed {
                 weight *= if past { upper[a] } else { 1.0 - upper[a] };
             }
             let value = data[n];
-            if weight > 0.0 && value >= HOLE && value <= f32::MAX {
+            if weight > 0.0 && (HOLE..=f32::MAX).contains(&value) {
                 (sum, weights) = (sum + weight * value, weights + weight);
             }
         }

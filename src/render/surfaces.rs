@@ -87,7 +87,7 @@ impl Surfaces {
         if kept.len() == KEPT {
             kept.remove(0);
         }
-        kept.push((camera.clone(), size, hits.clone()));
+        kept.push((*camera, size, hits.clone()));
         hits
     }
 }

@@ -40,9 +40,12 @@ pub(crate) struct Chunks {
 /// A chunk as it was before the filters.
 type Unpacked = Arc<Vec<u8>>;
 
+/// Chunks by dataset and place, and their bytes.
+type Chosen = (LruCache<(u64, Vec<u64>), Unpacked>, usize);
+
 /// Unpacked chunks of several datasets: those that were asked for last, in so many bytes.
 pub(crate) struct Kept {
-    chunks: Mutex<(LruCache<(u64, Vec<u64>), Unpacked>, usize)>,
+    chunks: Mutex<Chosen>,
     limit: usize,
 }
 
