@@ -86,15 +86,12 @@ impl Display {
         }
     }
 
-    /// What [`Display::encode`] rounds, 0 to 1.
+    /// What [`Display::encode`] clips at 1 and rounds; 0 and more.
     pub fn shown(&self, radiance: f32) -> f32 {
-        let exposed = match self.tonemap {
-            Tonemap::Srgb | Tonemap::None => self.exposure * radiance,
-            Tonemap::Exposure => -(-radiance / self.exposure).exp_m1(),
-        };
         match self.tonemap {
-            Tonemap::None => exposed.clamp(0.0, 1.0),
-            _ => srgb_encode(f64::from(exposed.clamp(0.0, 1.0))) as f32,
+            Tonemap::Srgb => srgb_encode(f64::from((self.exposure * radiance).max(0.0))) as f32,
+            Tonemap::Exposure => srgb_encode(f64::from(-(-radiance.max(0.0) / self.exposure).exp_m1())) as f32,
+            Tonemap::None => (self.exposure * radiance).max(0.0),
         }
     }
 

@@ -4,7 +4,8 @@
 //!
 //! with Δc the distance of two colours as displayed (tone-mapped, on the sRGB curve) and d their distance in pixels. The paper's strength
 //! is driven by the mean running variance; here Δc is counted in mean standard errors of what is displayed, so that 0.05 tells noise from
-//! edges at any number of samples, and the filter fades as samples come in. What is averaged is radiance.
+//! edges at any number of samples, and the filter fades as samples come in. What is averaged is radiance; what a display clips is compared
+//! as the curve goes on, so that a lamp's light stays in the lamp.
 
 use rayon::prelude::*;
 
