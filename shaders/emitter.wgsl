@@ -148,7 +148,7 @@ fn sample_emitter(e: Emitter, point: vec3<f32>, xi: vec3<f32>) -> LightSample {
         if e.image.y > 0u { to = sky_direction(e.image, xi); }
         return LightSample(to.xyz, FAR, e.radiance * sky_radiance(e.image, to.xyz), to.w, true);
     }
-    return NO_SAMPLE;
+    return sample_shape(e, point, xi);
 }
 
 fn hit_emitter(e: Emitter, origin: vec3<f32>, direction: vec3<f32>) -> LightHit {
@@ -160,5 +160,6 @@ fn hit_emitter(e: Emitter, origin: vec3<f32>, direction: vec3<f32>) -> LightHit 
         if e.image.y > 0u { pdf = sky_density(e.image, sky_pixel(e.image, direction)); }
         return LightHit(e.radiance * sky_radiance(e.image, direction), FAR, pdf, true);
     }
+    if e.shape > ENVIRONMENT { return hit_shape(e, origin, direction); }
     return NO_HIT;
 }

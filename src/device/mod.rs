@@ -452,6 +452,11 @@ pub trait Device: Send + Sync {
 
     /// Path tracing: adds samples to the sums of a picture's pixels, row by row. See [`Trace`].
     fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced>;
+
+    /// Runs work of the host on the threads that this device computes on, where it has some of its own.
+    fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
+        work();
+    }
 }
 
 fn no_surfaces(device: String) -> Error {

@@ -144,7 +144,11 @@ impl Renderer for Pathtrace {
         let depth: Vec<f32> = tallies.iter().map(|t| per_sample(t, t.depth)).collect();
         let guides = Guides { albedo: &albedo, normal: &normal, depth: &depth };
         let display = Display::from(&self.render);
-        let finished = denoise::finished(&estimate, &guides, self.keys.denoise, self.keys.filter, &display);
+        let mut finished = None;
+        device.on_threads(&mut || {
+            finished = Some(denoise::finished(&estimate, &guides, self.keys.denoise, self.keys.filter, &display));
+        });
+        let finished = finished.expect("the work was done");
 
         let layer = |name: &str, channels: &str, values| Layer { name: name.into(), channels: channels.into(), values };
         let layers = vec![

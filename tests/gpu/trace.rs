@@ -124,6 +124,39 @@ fn paths_through_coloured_glowing_media_agree() {
     agree(&stage([1.0, 0.6, 0.3], true), |_| ());
 }
 
+#[test]
+fn paths_to_surfaces_that_shine_agree() {
+    let mut stage = stage([1.0; 3], false);
+    let (lo, hi) = stage.grid.bounds();
+    let reach = (0.5 * (hi - lo)).as_vec3();
+    // Relative to the first value, as emitters are placed.
+    let middle = (0.5 * (lo + hi)).as_vec3() - Vec3::from(stage.grid.origin.map(|o| o as f32));
+    stage.images = (0..3 * 12).map(|i| (i % 5) as f32).collect();
+    let turn = glam::Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 1.1);
+    let shapes = [Shape::Rectangle, Shape::Disk, Shape::Ring, Shape::Box, Shape::Sphere];
+    let lights = shapes.into_iter().enumerate().map(|(i, shape)| {
+        let angle = 1.3 * i as f32;
+        let away = Vec3::new(angle.cos(), angle.sin(), 0.5 * (i as f32 - 2.0));
+        Emitter {
+            position: middle + 1.6 * reach.length() * away,
+            axis: turn * Vec3::Z,
+            u: turn * Vec3::X * 0.6,
+            v: turn * Vec3::Y * 0.6,
+            radius: 0.5,
+            inner: 0.4,
+            image: if i % 2 == 0 { [0, 4, 3] } else { [0; 3] },
+            two_sided: i < 3,
+            visible: true,
+            share: 0.2,
+            ..Emitter::new(shape, [3.0, 2.0, 1.0])
+        }
+    });
+    stage.emitters = lights.collect();
+    for sampling in [Sampling::Both, Sampling::Lights, Sampling::Scattering] {
+        agree(&stage, |t| t.sampling = sampling);
+    }
+}
+
 static COLUMNS: [[f32; 4]; 64] = [[0.9, 1.0, 0.3, 1.6]; 64];
 static CLIPS: [Clip; 2] = [
     Clip { shape: ClipShape::Plane { normal: Vec3::new(1.0, 0.4, 0.2), offset: 9.0 }, invert: false },

@@ -389,4 +389,8 @@ impl Device for Cpu {
     fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
         Ok(self.pool.install(|| trace::trace(trace, host(trace.field), picture, tallies)))
     }
+
+    fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
+        self.pool.install(work);
+    }
 }

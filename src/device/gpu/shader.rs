@@ -102,7 +102,7 @@ pub static SURFACE_LIGHT: Shader =
 
 /// See `shaders/trace.wgsl`.
 pub static TRACE: Shader =
-    shader!("trace", ["grid", "table", "clip", "numbers", "emitter", "scatter"], size_of::<trace::Params>());
+    shader!("trace", ["grid", "table", "clip", "numbers", "emitter", "shapes", "scatter"], size_of::<trace::Params>());
 
 /// Every shader.
 pub fn shaders() -> Vec<&'static Shader> {

@@ -136,10 +136,6 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
 
 /// What the shader cannot do.
 fn refuse(gpu: &Gpu, trace: &Trace) -> Result<()> {
-    if let Some(area) = trace.emitters.iter().find(|e| e.shape as u32 > Shape::Environment as u32) {
-        let shape = format!("{:?}", area.shape).to_lowercase();
-        return Err(Error::Unsupported(format!("path tracing with a {shape} light on a GPU\n  try: --device cpu")));
-    }
     // Rounds of a path: bricks on its way, and tentative collisions, there and towards a light, for each of its scatterings.
     let (lo, hi) = trace.grid.bounds();
     let densest = trace.majorant.iter().fold(0.0f32, |m, v| m.max(*v));

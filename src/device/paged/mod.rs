@@ -644,6 +644,10 @@ impl Device for Paged {
         })?;
         self.inner.trace(&Trace { field, samples: trace.samples.clone(), ..*trace }, picture, tallies)
     }
+
+    fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
+        self.inner.on_threads(work);
+    }
 }
 
 /// Gradients reach beyond the slabs that are held.
