@@ -216,7 +216,7 @@ fn convergence(quick: bool) -> gloaming::Result<()> {
         for aperture in [0.0, 0.02, 0.08] {
             for lights in [1, 2, 4, 8] {
                 let light = |i: usize| {
-                    let angle = 0.8 + 6.283 * i as f64 / lights as f64;
+                    let angle = 0.8 + std::f64::consts::TAU * i as f64 / lights as f64;
                     let [x, y] = [angle.cos(), angle.sin()];
                     format!(
                         "[[lights]]\nsoftness = 5\nintensity = {}\ndirection = [{x}, {y}, -0.7]\n",

@@ -6,9 +6,9 @@ use glam::{DVec3, UVec2, UVec3, Vec3, Vec4};
 use super::clip::clips;
 use super::shader::TRACE;
 use super::{Gpu, holds, uvec3};
-use crate::device::emitter::{Emitter, Shape};
+use crate::device::emitter::Emitter;
 use crate::device::{Phase, Sampling, Tally, Trace, Traced};
-use crate::error::{Error, Result};
+use crate::error::Result;
 
 /// Sums of a pixel in `shaders/trace.wgsl`.
 const SUMS: usize = 15;

@@ -79,7 +79,7 @@ impl Walk {
         let (low, high) = ((Vec3::splat(-0.5) - start) * inverse, (medium.last + 0.5 - start) * inverse);
         let t = low.min(high).max_element().max(range.start);
         let end = low.max(high).min_element().min(range.end);
-        if !(t < end) {
+        if t.is_nan() || end.is_nan() || t >= end {
             return None;
         }
         let mut walk = Walk { start, slope, inverse, t, end, brick: IVec3::ZERO, leave: Vec3::ZERO };
@@ -215,7 +215,7 @@ impl<'a> Medium<'a> {
 
     #[inline]
     fn entry(&self, value: f32) -> (usize, f32) {
-        let at = ((value - self.lo) * self.scale).max(0.0).min(1.0) * (self.entries - 1) as f32;
+        let at = ((value - self.lo) * self.scale).clamp(0.0, 1.0) * (self.entries - 1) as f32;
         let below = (at as usize).min(self.entries.max(2) - 2);
         (below, at - below as f32)
     }
@@ -269,7 +269,7 @@ impl<'a> Medium<'a> {
                     if !event(numbers, walk.start + walk.t * walk.slope, walk.t, majorant) {
                         return;
                     }
-                    depth = -(1.0 - numbers.next()).ln();
+                    depth = -(1.0 - numbers.draw()).ln();
                 }
                 if !walk.step(self, exit) {
                     return;
@@ -305,7 +305,7 @@ impl<'a> Medium<'a> {
                 *glow += *weight * Vec3::from(Self::column(self.emission, entry)) / majorant;
             }
             *exceeded += u64::from(sigma > majorant * 1.0001);
-            let xi = numbers.next();
+            let xi = numbers.draw();
             if self.gray {
                 if xi * majorant < sigma {
                     found = Some(Collision { t, position, entry, sigma });
@@ -336,7 +336,7 @@ impl<'a> Medium<'a> {
         exceeded: &mut u64,
     ) -> Vec3 {
         let mut left = Vec3::ONE;
-        let first = numbers.next();
+        let first = numbers.draw();
         self.fly(ray, range, first, numbers, |numbers, position, _, majorant| {
             let Some(entry) = self.look(position) else { return true };
             let sigma = self.sigma(entry);
@@ -345,7 +345,7 @@ impl<'a> Medium<'a> {
             let most = left.max_element();
             if most < Self::FAINT {
                 // What is hardly worth following is followed rarely.
-                if most == 0.0 || numbers.next() >= 0.5 {
+                if most == 0.0 || numbers.draw() >= 0.5 {
                     left = Vec3::ZERO;
                     return false;
                 }
@@ -364,7 +364,7 @@ impl<'a> Medium<'a> {
     pub fn gradient(&self, position: Vec3) -> Vec3 {
         let at = |offset: Vec3| {
             let value = self.value(position + offset);
-            if value >= HOLE { ((value - self.lo) * self.scale).max(0.0).min(1.0) } else { 0.0 }
+            if value >= HOLE { ((value - self.lo) * self.scale).clamp(0.0, 1.0) } else { 0.0 }
         };
         0.5 * Vec3::new(at(Vec3::X) - at(-Vec3::X), at(Vec3::Y) - at(-Vec3::Y), at(Vec3::Z) - at(-Vec3::Z))
     }

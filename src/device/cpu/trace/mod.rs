@@ -125,7 +125,7 @@ impl<'a> Kernel<'a> {
             if bounce > 0 && bounce == trace.depth && self.blind() {
                 break;
             }
-            let [flight, choice] = if bounce == 0 { numbers.pair(2) } else { [numbers.next(), numbers.next()] };
+            let [flight, choice] = if bounce == 0 { numbers.pair(2) } else { [numbers.draw(), numbers.draw()] };
             let collision = self.fly(
                 (origin, way),
                 flight,
@@ -149,23 +149,23 @@ impl<'a> Kernel<'a> {
             if bounce == trace.depth {
                 break;
             }
-            let lobe = self.lobe(&collision, albedo, gradient, way, numbers.next());
+            let lobe = self.lobe(&collision, albedo, gradient, way, numbers.draw());
 
-            let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.next(), numbers.next()] };
-            let third = numbers.next();
+            let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.draw(), numbers.draw()] };
+            let third = numbers.draw();
             found.radiance +=
                 weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], &mut numbers, exceeded);
 
-            let xi = if bounce == 0 { numbers.pair(4) } else { [numbers.next(), numbers.next()] };
-            let to = lobe.sample(way, [xi[0], xi[1], numbers.next()]);
+            let xi = if bounce == 0 { numbers.pair(4) } else { [numbers.draw(), numbers.draw()] };
+            let to = lobe.sample(way, [xi[0], xi[1], numbers.draw()]);
             let (f, p) = lobe.value(way, to);
-            if !(p > 0.0) {
+            if p.is_nan() || p <= 0.0 {
                 break;
             }
             weight *= f / p;
             if bounce + 1 >= ROULETTE {
                 let survival = weight.max_element().min(1.0);
-                if numbers.next() >= survival {
+                if numbers.draw() >= survival {
                     break;
                 }
                 weight /= survival;
@@ -210,7 +210,7 @@ impl<'a> Kernel<'a> {
             }
             *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
             from = hit.distance;
-            flight = numbers.next();
+            flight = numbers.draw();
         }
         let collision = self.medium.collide(ray, from..f32::INFINITY, flight, numbers, weight, radiance, exceeded);
         if collision.is_none() {
@@ -265,7 +265,7 @@ impl<'a> Kernel<'a> {
             Sampling::Scattering => 0.0,
         };
         let worth = f * sample.radiance * (counts / density);
-        if !(worth.max_element() > 0.0) {
+        if worth.is_nan() || worth.max_element() <= 0.0 {
             return Vec3::ZERO;
         }
         worth * self.medium.transmittance((here, sample.direction), 0.0..sample.distance, numbers, exceeded)

@@ -68,7 +68,7 @@ impl Numbers {
 
     /// The next independent number.
     #[inline]
-    pub fn next(&mut self) -> f32 {
+    pub fn draw(&mut self) -> f32 {
         let at = (self.count & 3) as usize;
         if at == 0 {
             self.block = hash([self.pixel, self.sample, self.count >> 2, self.seed]);
@@ -118,7 +118,7 @@ mod tests {
         let n = 1 << 14;
         let draw = |pixel, sample, skip: usize| {
             let mut numbers = Numbers::new(pixel, sample, 3);
-            (0..=skip).map(|_| numbers.next()).last().unwrap()
+            (0..=skip).map(|_| numbers.draw()).last().unwrap()
         };
         let series: [Box<dyn Fn(u32) -> f32>; 3] =
             [Box::new(|i| draw(0, 0, i as usize % 512)), Box::new(|i| draw(5, i, 1)), Box::new(|i| draw(i, 5, 2))];

@@ -156,7 +156,7 @@ mod tests {
                 let mut counts = vec![0.0f64; bins];
                 let mut mean = 0.0f64;
                 for _ in 0..n {
-                    let c = f64::from(cosine(of, draw.next()));
+                    let c = f64::from(cosine(of, draw.draw()));
                     mean += c / f64::from(n);
                     counts[((0.5 + 0.5 * c) * bins as f64).min(bins as f64 - 1.0) as usize] += 1.0;
                 }
