@@ -214,7 +214,7 @@ fn compare_looks_at_layers_and_tells_noise_from_bias() {
     let here = folder();
     let path = |name: &str| here.path().join(name);
     // Deviations of 0.1 to both sides; the variance of the difference is the sum of both.
-    let noise = |i: usize| if (i * 31 + i / 16) % 7 % 2 == 0 { 0.1 } else { -0.1 };
+    let noise = |i: usize| if ((i * 31 + i / 16) % 7).is_multiple_of(2) { 0.1 } else { -0.1 };
     sampled(&path("a.exr"), |i| 1.0 + noise(i), 0.006);
     sampled(&path("b.exr"), |_| 1.0, 0.004);
     picture(&path("plain.exr"), [1.0; 3]);

@@ -661,7 +661,7 @@ fn flat_empty_and_broken_fields_give_finite_pictures() {
         Box::new(|_| 0.5),
         Box::new(|_| 0.0),
         Box::new(|_| f32::NAN),
-        Box::new(|p| if p.x as usize % 3 == 0 { f32::NAN } else { p.y / 11.0 }),
+        Box::new(|p| if (p.x as usize).is_multiple_of(3) { f32::NAN } else { p.y / 11.0 }),
         Box::new(|p| if p.z > 6.0 { 1.0 } else { 0.0 }),
     ];
     for (i, field) in fields.into_iter().enumerate() {

@@ -45,7 +45,7 @@ impl Panorama {
     /// Reads an image: OpenEXR and Radiance HDR as they are, PNG from sRGB to linear light.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such image, or holds radiance that is
+    /// [`Error::Io`](crate::Error::Io) when the file cannot be read; [`Error::Format`](crate::Error::Format) when it is no such image, or holds radiance that is
     /// negative or not finite.
     pub fn read(path: &Path) -> Result<Self> {
         let (size, pixels) = read(path, "an equirectangular OpenEXR, Radiance HDR or PNG image")?;

@@ -1,5 +1,5 @@
 //! Isosurfaces in layers (Rezk-Salama 2007): a first-hit pass for each surface along the rays, then passes for beauty, ambient
-//! occlusion, light of the volume, and subsurface scattering at the hits; [`layers`] makes the picture of them.
+//! occlusion, light of the volume, and subsurface scattering at the hits; `layers` makes the picture of them.
 //!
 //! Each pixel sends `antialias`² rays, among which the samples of its lobes are divided, so that smooth edges cost little.
 

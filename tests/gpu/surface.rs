@@ -121,7 +121,8 @@ const ESTIMATORS: [Estimator; 2] = [Estimator::Normalised, Estimator::Paper];
 /// Mean over hits, and how many differ by more than `tolerance` of the largest: decisions at edges may fall either way.
 fn compare(want: &[f32], got: &[f32], tolerance: f32, what: &str) {
     let largest = want.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-    let apart = want.iter().zip(got).filter(|(w, g)| !((*w - *g).abs() <= tolerance * largest)).count();
+    let apart =
+        want.iter().zip(got).filter(|(w, g)| (*w - *g).is_nan() || (*w - *g).abs() > tolerance * largest).count();
     assert!(largest > 0.0 && apart * 100 <= want.len(), "{what}: {apart} of {} differ", want.len());
     let mean = |v: &[f32]| v.iter().map(|v| f64::from(*v)).sum::<f64>() / v.len() as f64;
     let (a, b) = (mean(want), mean(got));
