@@ -248,8 +248,8 @@ mod tests {
             (0..SIZE[0] * SIZE[1]).map(|i| step(i % SIZE[0], i / SIZE[0]) + scale * noise_of(i)).collect();
         let found = noise(SIZE, &values);
         let mean = found.iter().sum::<f32>() / found.len() as f32;
-        // Windows at the edge lose two columns of seven.
-        assert!((mean / 0.0025 - 1.0).abs() < 0.25, "{mean}");
+        // Windows that hold both columns of the edge take the smaller 25 of 35 others: 2.3 times as much, in a ninth of the pixels.
+        assert!((0.8..1.5).contains(&(mean / 0.0025)), "{mean}");
         assert!(found.iter().all(|v| *v < 0.02), "an edge of 0.6 is no noise");
     }
 
