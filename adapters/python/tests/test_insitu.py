@@ -185,6 +185,8 @@ def test_ctrl_c_is_answered(tmp_path, call):
     # 128 directions to a tolerance of nothing take minutes.
     program = f"""
 import gloaming, numpy as np, sys, threading, time, os, signal
+# Who starts the tests in the background leaves them deaf to it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 scene = {{"render": {{"size": [40, 30]}}, "light": {{"directions": 128, "tolerance": 1e-6, "resolution": 1.0}},
          "transfer": {{"extinction": 1.0, "albedo": 0.9999}}, "field": {{"range": [0, 1]}}}}
 slow = np.ones((96, 96, 96), "float32")
