@@ -1,25 +1,5 @@
-// Random numbers without a state: Jarzynski & Olano's hash pcg4d (2020) of pixel, sample, count and seed; pairs from Sobol's sequence,
+// Random numbers without a state: the hash pcg4d (hash.wgsl) of pixel, sample, count and seed; pairs from Sobol's sequence,
 // Owen-scrambled by Laine & Karras's hash with Vegdahl's constants. The same integers as on the CPU.
-
-fn hash_mix(w: vec4<u32>) -> vec4<u32> {
-    var v = w;
-    v.x += v.y * v.w;
-    v.y += v.z * v.x;
-    v.z += v.x * v.y;
-    v.w += v.y * v.z;
-    return v;
-}
-
-fn hash(key: vec4<u32>) -> vec4<u32> {
-    var v = hash_mix(key * 1664525u + 1013904223u);
-    v ^= v >> vec4(16u);
-    return hash_mix(v);
-}
-
-// A number in 0..1, 1 excluded.
-fn unit(x: u32) -> f32 {
-    return f32(x >> 8u) / 16777216.0;
-}
 
 fn scramble(y: u32, seed: u32) -> u32 {
     var x = reverseBits(y);
@@ -56,15 +36,15 @@ fn begin_numbers(pixel: u32, sample: u32, seed: u32) {
 fn next_number() -> f32 {
     let at = number_count & 3u;
     if at == 0u {
-        number_block = hash(vec4(number_key.xy, number_count >> 2u, number_key.z));
+        number_block = pcg4d(vec4(number_key.xy, number_count >> 2u, number_key.z));
     }
     number_count++;
-    return unit(number_block[at]);
+    return unit(vec3(number_block[at])).x;
 }
 
 // A pair that is spread evenly over the samples of the pixel.
 fn number_pair(dimension: u32) -> vec2<f32> {
-    let seeds = hash(vec4(number_key.x, ~dimension, 0x5bd1e995u, number_key.z));
+    let seeds = pcg4d(vec4(number_key.x, ~dimension, 0x5bd1e995u, number_key.z));
     let i = scramble(number_key.y, seeds.x);
-    return vec2(unit(scramble(reverseBits(i), seeds.y)), unit(scramble(pascal(i), seeds.z)));
+    return unit(vec3(scramble(reverseBits(i), seeds.y), scramble(pascal(i), seeds.z), 0u)).xy;
 }

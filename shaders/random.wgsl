@@ -1,26 +1,7 @@
-// Numbers without pattern that depend on nothing but their counters: PCG4D (Jarzynski & Olano 2020), and sequences of points by
+// Numbers without pattern that depend on nothing but their counters: hashes (hash.wgsl), and sequences of points by
 // multiples of 2³²/g, 2³²/g², 2³²/g³ with g⁴ = g + 1 (Roberts 2018). The same integers as src/device/random.rs.
 
 const TAU: f32 = 6.283185307179586;
-
-fn pcg4d(counters: vec4<u32>) -> vec4<u32> {
-    var v = counters * 1664525u + 1013904223u;
-    v.x += v.y * v.w;
-    v.y += v.z * v.x;
-    v.z += v.x * v.y;
-    v.w += v.y * v.z;
-    v ^= v >> vec4(16u);
-    v.x += v.y * v.w;
-    v.y += v.z * v.x;
-    v.z += v.x * v.y;
-    v.w += v.y * v.z;
-    return v;
-}
-
-// In 0..1, 1 excluded, of 24 bits.
-fn unit(bits: vec3<u32>) -> vec3<f32> {
-    return vec3<f32>(bits >> vec3(8u)) * (1.0 / 16777216.0);
-}
 
 // Point i of the sequence that begins at `origin`.
 fn point(origin: vec4<u32>, i: u32) -> vec3<f32> {

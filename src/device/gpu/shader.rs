@@ -86,23 +86,32 @@ pub static SLICE: Shader = shader!("slice", ["grid", "table", "lamp", "matter"],
 
 /// See `shaders/surface_hits.wgsl`.
 pub static SURFACE_HITS: Shader =
-    shader!("surface_hits", ["grid", "table", "random", "surface"], size_of::<surface::Params>());
+    shader!("surface_hits", ["grid", "table", "hash", "random", "surface"], size_of::<surface::Params>());
 /// See `shaders/surface_occlusion.wgsl`.
 pub static SURFACE_OCCLUSION: Shader =
-    shader!("surface_occlusion", ["grid", "table", "random", "surface"], size_of::<surface::Params>());
+    shader!("surface_occlusion", ["grid", "table", "hash", "random", "surface"], size_of::<surface::Params>());
 /// See `shaders/surface_beauty.wgsl`.
-pub static SURFACE_BEAUTY: Shader =
-    shader!("surface_beauty", ["grid", "table", "random", "surface", "surface_sky"], size_of::<surface::Params>());
+pub static SURFACE_BEAUTY: Shader = shader!(
+    "surface_beauty",
+    ["grid", "table", "hash", "random", "surface", "surface_sky"],
+    size_of::<surface::Params>()
+);
 /// See `shaders/surface_subsurface.wgsl`.
-pub static SURFACE_SUBSURFACE: Shader =
-    shader!("surface_subsurface", ["grid", "table", "random", "surface", "surface_sky"], size_of::<surface::Params>());
+pub static SURFACE_SUBSURFACE: Shader = shader!(
+    "surface_subsurface",
+    ["grid", "table", "hash", "random", "surface", "surface_sky"],
+    size_of::<surface::Params>()
+);
 /// See `shaders/surface_light.wgsl`.
 pub static SURFACE_LIGHT: Shader =
-    shader!("surface_light", ["grid", "table", "random", "lamp", "surface"], size_of::<surface::Params>());
+    shader!("surface_light", ["grid", "table", "hash", "random", "lamp", "surface"], size_of::<surface::Params>());
 
 /// See `shaders/trace.wgsl`.
-pub static TRACE: Shader =
-    shader!("trace", ["grid", "table", "clip", "numbers", "emitter", "shapes", "scatter"], size_of::<trace::Params>());
+pub static TRACE: Shader = shader!(
+    "trace",
+    ["grid", "table", "clip", "hash", "numbers", "emitter", "shapes", "scatter"],
+    size_of::<trace::Params>()
+);
 
 /// Every shader.
 pub fn shaders() -> Vec<&'static Shader> {

@@ -1,30 +1,10 @@
 //! Random numbers without a state, in integers that WGSL has too.
 //!
-//! Independent ones are Jarzynski & Olano's hash pcg4d (2020) of pixel, sample, count and seed. Pairs for the first dimensions of a
+//! Independent ones are the hash [`pcg4d`] of pixel, sample, count and seed. Pairs for the first dimensions of a
 //! path are the first two dimensions of Sobol's sequence with its order and digits scrambled (Owen 1995; Laine & Karras's hash with
 //! Vegdahl's constants, as by Burley 2020): each pair is stratified over any 2^k samples of a pixel, and pairs are independent.
 
-/// Four hashes of four numbers.
-#[inline]
-pub fn hash(v: [u32; 4]) -> [u32; 4] {
-    let mut v = v.map(|x| x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
-    let mix = |v: &mut [u32; 4]| {
-        v[0] = v[0].wrapping_add(v[1].wrapping_mul(v[3]));
-        v[1] = v[1].wrapping_add(v[2].wrapping_mul(v[0]));
-        v[2] = v[2].wrapping_add(v[0].wrapping_mul(v[1]));
-        v[3] = v[3].wrapping_add(v[1].wrapping_mul(v[2]));
-    };
-    mix(&mut v);
-    v = v.map(|x| x ^ (x >> 16));
-    mix(&mut v);
-    v
-}
-
-/// A number in 0..1, 1 excluded.
-#[inline]
-pub fn unit(x: u32) -> f32 {
-    (x >> 8) as f32 * (1.0 / 16_777_216.0)
-}
+use crate::device::random::{pcg4d, unit};
 
 /// Owen's scrambling of the binary digits of a number.
 #[inline]
@@ -71,7 +51,7 @@ impl Numbers {
     pub fn draw(&mut self) -> f32 {
         let at = (self.count & 3) as usize;
         if at == 0 {
-            self.block = hash([self.pixel, self.sample, self.count >> 2, self.seed]);
+            self.block = pcg4d([self.pixel, self.sample, self.count >> 2, self.seed]);
         }
         self.count += 1;
         unit(self.block[at])
@@ -80,7 +60,7 @@ impl Numbers {
     /// A pair that is spread evenly over the samples of the pixel.
     #[inline]
     pub fn pair(&self, dimension: u32) -> [f32; 2] {
-        let [order, x, y, _] = hash([self.pixel, !dimension, 0x5bd1_e995, self.seed]);
+        let [order, x, y, _] = pcg4d([self.pixel, !dimension, 0x5bd1_e995, self.seed]);
         let i = scramble(self.sample, order);
         [unit(scramble(i.reverse_bits(), x)), unit(scramble(pascal(i), y))]
     }
