@@ -257,15 +257,17 @@ mod tests {
 
     proptest! {
         /// validation.md 2 and 11: opacity → extinction → opacity is the identity, and the same medium comes out whatever
-        /// the reference length, its opacity corrected by `1 − (1 − α)^n`: as well as f32 tells that from 1.
+        /// the reference length, its opacity corrected by `1 − (1 − α)^n`.
         #[test]
-        fn opacity_survives_the_way_through_extinction(alpha in 0.0f32..0.99, reference in 0.1f64..20.0, spacing in 0.01f64..50.0) {
+        fn opacity_survives_the_way_through_extinction(alpha in 0.0f32..0.999, reference in 0.1f64..20.0, spacing in 0.01f64..50.0) {
             let table = function(|k| { k.opacity = Some(vec![[0.0, alpha]]); k.reference = reference; }).table([0.0, 1.0], spacing);
             let sigma = f64::from(table.extinction[517]);
             prop_assert!((1.0 - (-sigma * reference * spacing).exp() - f64::from(alpha)).abs() < 1e-6);
             let twice = 1.0 - (1.0 - f64::from(alpha)).powi(2);
             let longer = function(|k| { k.opacity = Some(vec![[0.0, twice as f32]]); k.reference = 2.0 * reference; }).table([0.0, 1.0], spacing);
-            prop_assert!((f64::from(longer.extinction[517]) / sigma.max(1e-30) - 1.0).abs() < 1e-3 || sigma * reference * spacing < 1e-4);
+            // What rounding to f32 does to an opacity, on its way through the logarithm.
+            let rounding = 2f64.powi(-24) * twice / (1.0 - twice) / -(1.0 - twice).ln();
+            prop_assert!((f64::from(longer.extinction[517]) / sigma.max(1e-30) - 1.0).abs() < 1e-6 + rounding || sigma * reference * spacing < 1e-4);
         }
     }
 
