@@ -111,11 +111,6 @@ impl Dense {
         assert_eq!(values.len(), size.iter().product::<usize>(), "values must fill the grid");
         Dense { size, values }
     }
-
-    /// The values.
-    pub fn into_values(self) -> Vec<f32> {
-        self.values
-    }
 }
 
 impl Field for Dense {

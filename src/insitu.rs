@@ -50,7 +50,7 @@ use crossbeam_channel::bounded;
 use crate::device::Device;
 use crate::device::cpu::float::DefaultFloat;
 use crate::error::{Error, Result, panic_text};
-use crate::field::{Dense, Timestep};
+use crate::field::Timestep;
 use crate::scene::Scene;
 pub use crate::scene::{InSituKeys, Policy};
 use crate::sink::Sink;
@@ -61,7 +61,7 @@ mod strided;
 mod writing;
 
 pub use queue::Stats;
-use queue::{Admission, Arrived, Queue};
+use queue::{Admission, Arrived, Copied, Queue};
 pub use strided::{Number, Strided, Values};
 
 /// What became of a pushed step.
@@ -151,24 +151,18 @@ impl InSitu {
         Opening { scene, device: None, sinks: vec![] }
     }
 
-    /// Hands over a step whose values stay the simulation's: they are copied, as f32, before this returns. Waits for room in
+    /// Hands over a step whose values stay the simulation's: they are copied before this returns. Waits for room in
     /// the queue only when the policy is [`Policy::Block`]. `time` is the simulation's, `None` where it has none.
     ///
     /// # Errors
     /// [`Error::Unsupported`] for a block that cannot be read or shown, [`Error::OutOfMemory`] without memory for the copy
     /// (the step is lost, and in the ledger); [`Error::Closed`] after [`InSitu::close`].
     pub fn push<B: AsRef<[u8]>>(&self, step: u64, time: Option<f64>, block: &Strided<B>) -> Result<Taken> {
-        self.offer(step, time, |mut values| {
+        self.offer(step, time, |memory| {
             block.check()?;
-            let grid = block.grid();
-            let needed = 4 * grid.len() as u64;
-            let more = grid.len().saturating_sub(values.len());
-            values.try_reserve_exact(more).map_err(|_| Error::OutOfMemory { needed, budget: 0 })?;
-            values.resize(grid.len(), 0.0);
-            block.copy_to(&mut values);
-            let dense = Arc::new(Dense::new(grid.size, values));
-            let step = Timestep { step, time, grid, field: dense.clone() };
-            Ok((step, Some(dense), block.shown_bytes()))
+            let copy = Arc::new(block.copied(memory)?);
+            let step = Timestep { step, time, grid: block.grid(), field: copy.clone() };
+            Ok((step, Some(copy), block.shown_bytes()))
         })
     }
 
@@ -199,7 +193,7 @@ impl InSitu {
         &self,
         step: u64,
         time: Option<f64>,
-        take: impl FnOnce(Vec<f32>) -> Result<(Timestep, Option<Arc<Dense>>, u64)>,
+        take: impl FnOnce(Vec<f32>) -> Result<(Timestep, Option<Copied>, u64)>,
     ) -> Result<Taken> {
         self.is_here()?;
         let begun = Instant::now();

@@ -9,9 +9,9 @@ use std::time::Instant;
 use crossbeam_channel::{Sender, bounded};
 use serde::Serialize;
 
-use super::say;
+use super::{Strided, Values, say};
 use crate::error::{Error, Result};
-use crate::field::{Dense, Timestep};
+use crate::field::Timestep;
 use crate::ledger::LedgerRow;
 use crate::scene::{InSituKeys, Policy};
 
@@ -41,11 +41,14 @@ pub struct Stats {
     pub last_loss: Option<(u64, String)>,
 }
 
+/// A copy made of a simulation's values, whose memory is used again.
+pub(super) type Copied = Arc<Strided<Values<f32>>>;
+
 /// A step on its way.
 pub(super) struct Arrived {
     pub step: Timestep,
     /// The copy made of the simulation's values, to be used again.
-    pub copy: Option<Arc<Dense>>,
+    pub copy: Option<Copied>,
     /// What the push has put in the ledger.
     pub row: LedgerRow,
 }
@@ -140,7 +143,7 @@ impl State {
         self.unfinished -= 1;
         self.drop_step(arrived.row, policy);
         drop(arrived.step);
-        self.spare.extend(arrived.copy.and_then(Arc::into_inner).map(Dense::into_values));
+        self.spare.extend(arrived.copy.and_then(Arc::into_inner).map(Strided::into_values));
     }
 }
 
@@ -275,9 +278,9 @@ impl Queue {
     }
 
     /// Takes back the memory of a copy.
-    pub fn recycle(&self, copy: Option<Arc<Dense>>) {
-        if let Some(dense) = copy.and_then(Arc::into_inner) {
-            self.lock().spare.push(dense.into_values());
+    pub fn recycle(&self, copy: Option<Copied>) {
+        if let Some(copy) = copy.and_then(Arc::into_inner) {
+            self.lock().spare.push(copy.into_values());
         }
     }
 

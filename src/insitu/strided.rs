@@ -1,5 +1,7 @@
 //! Values in somebody else's memory, taken as they lie: any type, any strides, ghost layers left out.
 
+use std::ops::Range;
+
 use crate::dtype::{Dtype, Kind};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -45,6 +47,9 @@ macro_rules! numbers {
 }
 numbers!(u8: U8, i8: I8, u16: U16, i16: I16, u32: U32, i32: I32, u64: U64, i64: I64, f32: F32, f64: F64);
 
+/// Values in between that are copied along must be fewer than one in this many.
+const LOOSE: usize = 4;
+
 /// Owned numbers as bytes.
 #[derive(Debug, Clone)]
 pub struct Values<T>(pub Vec<T>);
@@ -66,6 +71,11 @@ impl<T: Number> Strided<Values<T>> {
     /// Values given away, of an array of `size`, x fastest until [`Strided::strides`] says otherwise.
     pub fn owned(values: Vec<T>, size: [usize; 3]) -> Self {
         Strided::new(Values(values), Dtype::native(T::KIND), size)
+    }
+
+    /// The memory that they are in.
+    pub(super) fn into_values(self) -> Vec<T> {
+        self.bytes.0
     }
 }
 
@@ -200,38 +210,62 @@ impl<B: AsRef<[u8]>> Strided<B> {
         }
     }
 
-    /// Where the shown values are f32, dense and x fastest: those bytes.
-    fn plain(&self) -> Option<&[u8]> {
-        let [nx, ny, nz] = self.region.size.map(|n| n as isize);
-        let dense = self.strides[0] == 4
-            && (ny == 1 && nz == 1 || self.strides[1] == 4 * nx)
-            && (nz == 1 || self.strides[2] == 4 * nx * ny);
-        if !dense || self.dtype != Dtype::native(Kind::F32) {
-            return None;
-        }
-        let from = self.at([0; 3]);
-        self.bytes.as_ref().get(from..from + 4 * self.region.len())
+    /// True where rows along x can be copied as they lie.
+    fn has_plain_rows(&self) -> bool {
+        self.dtype == Dtype::native(Kind::F32) && self.strides[0] == 4
     }
 
-    /// Copies the shown values; the block has been checked.
-    pub(super) fn copy_to(&self, out: &mut [f32]) {
-        if let Some(bytes) = self.plain() {
-            bytemuck::cast_slice_mut(out).copy_from_slice(bytes);
-        } else if self.dtype == Dtype::native(Kind::F32) && self.strides[0] == 4 {
-            let bytes = self.bytes.as_ref();
-            let [nx, ny, nz] = self.region.size;
-            let mut rows = bytemuck::cast_slice_mut(out).chunks_exact_mut(4 * nx);
-            // Rows are short: a division for each would take as long as the row itself.
-            for k in 0..nz {
-                let mut from = self.at([0, 0, k]);
-                for out in rows.by_ref().take(ny) {
-                    out.copy_from_slice(&bytes[from..from + 4 * nx]);
-                    from = from.wrapping_add_signed(self.strides[1]);
-                }
+    /// Copies a region of the shown values, whose rows are plain; the block has been checked.
+    fn copy_rows(&self, region: Region, out: &mut [f32]) {
+        let bytes = self.bytes.as_ref();
+        let [nx, ny, nz] = region.size;
+        let [i0, j0, k0] = region.start;
+        let mut rows = bytemuck::cast_slice_mut(out).chunks_exact_mut(4 * nx);
+        // Rows are short: a division for each would take as long as the row itself.
+        for k in 0..nz {
+            let mut from = self.at([i0, j0, k0 + k]);
+            for out in rows.by_ref().take(ny) {
+                out.copy_from_slice(&bytes[from..from + 4 * nx]);
+                from = from.wrapping_add_signed(self.strides[1]);
             }
-        } else {
-            self.gather(Region { start: [0; 3], size: self.region.size }, out, |v| v as f32);
         }
+    }
+
+    /// The bytes from the first to the last shown value, in the order of memory; the block has been checked.
+    fn span(&self) -> Range<usize> {
+        let corners = |pick: fn(isize) -> bool| {
+            let far: isize =
+                (0..3).map(|a| (self.region.size[a] - 1) as isize * self.strides[a]).filter(|d| pick(*d)).sum();
+            self.at([0; 3]).wrapping_add_signed(far)
+        };
+        corners(|d| d < 0)..corners(|d| d > 0) + self.dtype.bytes()
+    }
+
+    /// A copy of the shown values, in the memory of an earlier one. Native f32 that lie together, perhaps with ghosts between them
+    /// or in another order of axes, are copied in one piece as they lie: that holds their owner for the shortest time, and they
+    /// are sorted where they are read. Other values become f32, dense. The block has been checked.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub(super) fn copied(&self, mut memory: Vec<f32>) -> Result<Strided<Values<f32>>> {
+        let span = self.span();
+        let shown = self.region.len();
+        let whole = self.dtype == Dtype::native(Kind::F32)
+            && self.strides.iter().all(|s| s % 4 == 0)
+            && span.len() / 4 <= shown + shown / LOOSE;
+        let length = if whole { span.len() / 4 } else { shown };
+        let more = length.saturating_sub(memory.len());
+        let lacking = |_| Error::OutOfMemory { needed: 4 * length as u64, budget: 0 };
+        memory.try_reserve_exact(more).map_err(lacking)?;
+        memory.resize(length, 0.0);
+        let Grid { size, spacing, origin } = self.grid();
+        if whole {
+            bytemuck::cast_slice_mut(&mut memory).copy_from_slice(&self.bytes.as_ref()[span.clone()]);
+        } else {
+            self.gather(Region { start: [0; 3], size }, &mut memory, |v| v as f32);
+        }
+        let copy = Strided::owned(memory, size).spacing(spacing).origin(origin);
+        Ok(if whole { copy.first(self.at([0; 3]) - span.start).byte_strides(self.strides) } else { copy })
     }
 
     /// Where a shown value begins.
@@ -245,12 +279,16 @@ impl<B: AsRef<[u8]>> Strided<B> {
 impl<B: AsRef<[u8]> + Send + Sync> Field for Strided<B> {
     fn read(&self, region: Region, out: &mut [f32]) -> Result<()> {
         self.check()?;
-        if region.start == [0; 3] && region.size == self.region.size {
-            self.copy_to(out);
+        if self.has_plain_rows() {
+            self.copy_rows(region, out);
         } else {
             self.gather(region, out, |v| v as f32);
         }
         Ok(())
+    }
+
+    fn is_resident(&self) -> bool {
+        self.has_plain_rows()
     }
 
     fn read_f64(&self, region: Region, out: &mut [f64]) -> Result<()> {
@@ -308,8 +346,12 @@ mod tests {
         let (values, strides, first) = laid_out(order, backwards, number);
         let block = Strided::of(&values, SIZE).strides(strides).first(first).region(region);
         block.check().unwrap();
-        let mut out = vec![-1.0; region.len()];
-        block.copy_to(&mut out);
+        let copy = block.copied(vec![7.0; 3]).unwrap();
+        assert_eq!(copy.grid(), block.grid());
+        let [mut out, mut twice] = [(); 2].map(|()| vec![-1.0; region.len()]);
+        block.read(Region { start: [0; 3], size: region.size }, &mut out).unwrap();
+        copy.read(Region { start: [0; 3], size: region.size }, &mut twice).unwrap();
+        assert_eq!(out, twice);
         let (half, mut again) = (region.size.map(|n| n.div_ceil(2)), vec![-1.0; region.len()]);
         let part = Region { start: std::array::from_fn(|a| region.size[a] - half[a]), size: half };
         block.read(part, &mut again[..part.len()]).unwrap();
@@ -357,7 +399,7 @@ mod tests {
         let mut out = [0.0];
         let block = Strided::new(&bytes, Dtype::native(Kind::F32), [1; 3]).first(1);
         block.check().unwrap();
-        block.copy_to(&mut out);
+        block.read(Region { start: [0; 3], size: [1; 3] }, &mut out).unwrap();
         assert_eq!(out, [7.5]);
     }
 }
