@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::light::SolveReport;
-use crate::sink::write_whole;
+use crate::whole::write_whole;
 
 /// What one step cost. Times are in milliseconds.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

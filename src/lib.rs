@@ -56,6 +56,7 @@ pub mod session;
 pub mod sink;
 pub mod source;
 pub mod transfer;
+mod whole;
 
 pub use error::{Error, Result};
 pub use grid::{BrickLayout, Grid, Region};

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::scene::{LightKeys, Model, Scene, SolverKeys};
-use crate::sink::{reserve, temporary_beside};
+use crate::whole::{reserve, temporary_beside};
 
 /// Format of the file; others are not read.
 const VERSION: u32 = 1;

@@ -251,7 +251,7 @@ pub fn each_model(scene: &Scene) -> Vec<Scene> {
 /// Writes the report as one HTML file, a section for each measurement; it appears only when whole.
 pub fn write_html(all: &[Savings], path: &std::path::Path) -> Result<()> {
     let html = report::html(all)?;
-    crate::sink::write_whole(path, |file| {
+    crate::whole::write_whole(path, |file| {
         std::io::Write::write_all(file, html.as_bytes()).map_err(|e| Error::io(path, e))
     })
 }

@@ -21,10 +21,10 @@ use exr::meta::attribute::AttributeValue;
 use exr::prelude::*;
 
 use super::template::Template;
-use super::whole::write_whole;
 use super::{Output, SinkOptions, View};
 use crate::error::{Error, Result};
 use crate::frame::{self, Frame};
+use crate::whole::write_whole;
 
 /// Writes one EXR per step and camera.
 pub(super) struct Exr {

@@ -21,6 +21,7 @@ use crate::frame::{Display, Frame};
 use crate::ledger::LedgerRow;
 pub use crate::light::IlluminatedVolume;
 use crate::scene::{Overlay, Scene};
+use crate::whole::writable_folder;
 
 pub mod exr;
 mod mp4;
@@ -29,12 +30,10 @@ mod png;
 mod raw;
 pub(crate) mod template;
 mod vtkhdf;
-mod whole;
 mod yuv;
 
 pub use png::png_bytes;
 use template::Template;
-pub(crate) use whole::{reserve, temporary_beside, write_whole};
 
 /// What a session made of one step.
 #[derive(Debug, Clone)]
@@ -182,31 +181,31 @@ pub fn open(target: &str, options: &SinkOptions) -> Result<Box<dyn Sink>> {
         "png" => {
             one_file_per_step(&template, &options)?;
             one_file_per_camera(&template, &options)?;
-            whole::writable_folder(&template.folder())?;
+            writable_folder(&template.folder())?;
             Ok(Box::new(png::Png::new(template, options)))
         }
         "exr" => {
             one_file_per_step(&template, &options)?;
             one_file_per_camera(&template, &options)?;
-            whole::writable_folder(&template.folder())?;
+            writable_folder(&template.folder())?;
             Ok(Box::new(exr::Exr::new(template, options)))
         }
         "mp4" => {
             one_file_for_all_steps(&template)?;
             one_file_per_camera(&template, &options)?;
-            whole::writable_folder(&template.folder())?;
+            writable_folder(&template.folder())?;
             Ok(Box::new(mp4::Mp4::new(template, options)?))
         }
         "vtkhdf" => {
             one_file_for_all_steps(&template)?;
             no_camera(&template)?;
-            whole::writable_folder(&template.folder())?;
+            writable_folder(&template.folder())?;
             Ok(Box::new(vtkhdf::VtkHdf::new(template, options)))
         }
         "raw" => {
             one_file_per_step(&template, &options)?;
             no_camera(&template)?;
-            whole::writable_folder(&template.folder())?;
+            writable_folder(&template.folder())?;
             Ok(Box::new(raw::Raw::new(template)))
         }
         "" => Err(Error::format(target, "no extension, which picks the format", format!("one of {KNOWN}"))),

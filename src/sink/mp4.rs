@@ -27,10 +27,10 @@ use openh264::formats::YUVSlices;
 use openh264::{OpenH264API, Timestamp};
 
 use super::template::Template;
-use super::whole::{folder_of, partial_name, write_whole};
 use super::yuv::Yuv;
 use super::{Output, Sink, SinkOptions};
 use crate::error::{Error, Result};
+use crate::whole::{folder_of, partial_name, write_whole};
 
 /// Writes one movie per camera.
 pub(super) struct Mp4 {

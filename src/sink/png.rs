@@ -7,9 +7,9 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::template::Template;
-use super::whole::write_whole;
 use super::{Output, Sink, SinkOptions};
 use crate::error::{Error, Result};
+use crate::whole::write_whole;
 
 /// Writes one PNG per step and camera.
 pub(super) struct Png {

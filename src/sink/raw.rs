@@ -10,10 +10,10 @@ use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
 
 use super::template::Template;
-use super::whole::write_whole;
 use super::{IlluminatedVolume, Output, Sink};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::whole::write_whole;
 
 /// Writes one raw file and its description per step, and the description of the series after each.
 pub(super) struct Raw {

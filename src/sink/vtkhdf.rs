@@ -14,10 +14,10 @@ use hdf5::{Dataset, Extent, Group, H5Type};
 use ndarray::{Axis, s};
 
 use super::template::Template;
-use super::whole::{folder_of, partial_name, reserve};
 use super::{IlluminatedVolume, Output, Sink, SinkOptions};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::whole::{folder_of, partial_name, reserve};
 
 /// Writes all steps into one file.
 pub(super) struct VtkHdf {
