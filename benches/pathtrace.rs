@@ -139,6 +139,7 @@ impl Stage {
         let trace = Trace {
             grid: &self.medium.grid,
             field: &self.medium.field,
+            gradient: self.medium.gradient.as_ref(),
             table: &self.medium.table,
             surface: None,
             bricks: if global { whole } else { self.medium.bricks },

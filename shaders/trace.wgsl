@@ -1,6 +1,6 @@
 // Path tracing: L = Σ_paths f(path)/p(path), one path for each pixel (Kroes et al. 2012). Delta tracking with a majorant for each
 // brick, ratio tracking for shadows, light and scattering samples combined by the power heuristic.
-// field, table, surfaces, majorant, emitters, images, clips, sums → sums
+// field, gradient, table, surfaces, majorant, emitters, images, clips, sums → sums
 
 struct Params {
     size: vec3<u32>,
@@ -38,10 +38,15 @@ struct Params {
     factor: f32,
     reference: f32,
     clips: u32,
+    // Of a two-dimensional table: rows, and rows for a unit of gradient magnitude.
+    rows: u32,
+    steep: f32,
 }
 
 override GLOW: bool = true;
 override CHROMATIC: bool = true;
+// Whether the table is two-dimensional.
+override GRADED: bool = true;
 // 0 none, 1 by the gradient, 2 everywhere.
 override SURFACES: u32 = 1u;
 
@@ -63,6 +68,7 @@ struct Optics {
 @group(0) @binding(7) var<storage, read> clips: array<Clip>;
 // For each pixel radiance, squares, coverage, albedo, normal, depth, collisions above the majorant.
 @group(0) @binding(8) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(9) var<storage, read> gradient: array<f32>;
 
 const SUMS: u32 = 15u;
 const BOTH: u32 = 0u;
@@ -73,19 +79,84 @@ const ROULETTE: u32 = 3u;
 // Transmittance below which a shadow ray goes on in every second case only.
 const FAINT: f32 = 0.1;
 
-fn data(position: vec3<f32>) -> f32 {
+// The eight values round a position, x fastest, and where between them it is.
+struct Cell {
+    low: vec4<u32>,
+    high: vec4<u32>,
+    f: vec3<f32>,
+}
+
+fn cell_at(position: vec3<f32>) -> Cell {
     let last = params.size - 1u;
     let p = clamp(position, vec3(0.0), vec3<f32>(last));
     let base = min(vec3<u32>(p), max(last, vec3(1u)) - 1u);
-    let f = p - vec3<f32>(base);
-    let g = 1.0 - f;
     let reach = min(vec3(1u), last) * vec3(1u, params.size.x, params.size.x * params.size.y);
     let i = index(params.size, base);
-    let a = field[i] * g.x + field[i + reach.x] * f.x;
-    let b = field[i + reach.y] * g.x + field[i + reach.y + reach.x] * f.x;
-    let c = field[i + reach.z] * g.x + field[i + reach.z + reach.x] * f.x;
-    let d = field[i + reach.z + reach.y] * g.x + field[i + reach.z + reach.y + reach.x] * f.x;
-    return (a * g.y + b * f.y) * g.z + (c * g.y + d * f.y) * f.z;
+    let low = vec4(i, i + reach.x, i + reach.y, i + reach.x + reach.y);
+    return Cell(low, low + reach.z, p - vec3<f32>(base));
+}
+
+fn trilinear(low: vec4<f32>, high: vec4<f32>, f: vec3<f32>) -> f32 {
+    let g = 1.0 - f;
+    let front = (low.x * g.x + low.y * f.x) * g.y + (low.z * g.x + low.w * f.x) * f.y;
+    let back = (high.x * g.x + high.y * f.x) * g.y + (high.z * g.x + high.w * f.x) * f.y;
+    return front * g.z + back * f.z;
+}
+
+fn data_in(c: Cell) -> f32 {
+    let low = vec4(field[c.low.x], field[c.low.y], field[c.low.z], field[c.low.w]);
+    let high = vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]);
+    return trilinear(low, high, c.f);
+}
+
+fn data(position: vec3<f32>) -> f32 {
+    return data_in(cell_at(position));
+}
+
+// Where a position lies in the table: entry, first of its row, and fraction of the way to the next row.
+struct Place {
+    entry: Entry,
+    row: u32,
+    down: f32,
+    // False in holes and where the medium is cut away.
+    there: bool,
+}
+
+fn look(position: vec3<f32>) -> Place {
+    let c = cell_at(position);
+    let value = data_in(c);
+    let e = entry(value, params.lo, params.scale, params.entries);
+    let there = value >= HOLE && kept(position, params.clips);
+    if !GRADED { return Place(e, 0u, 0.0, there); }
+    let low = vec4(gradient[c.low.x], gradient[c.low.y], gradient[c.low.z], gradient[c.low.w]);
+    let high = vec4(gradient[c.high.x], gradient[c.high.y], gradient[c.high.z], gradient[c.high.w]);
+    let at = clamp(trilinear(low, high, c.f) * params.steep, 0.0, f32(params.rows - 1u));
+    let row = min(u32(at), max(params.rows, 2u) - 2u);
+    return Place(e, row * params.entries, at - f32(row), there);
+}
+
+fn extinction_of(p: Place) -> f32 {
+    let i = p.row + p.entry.below;
+    let a = mix(table[i].extinction, table[i + 1u].extinction, p.entry.fraction);
+    if !GRADED { return a; }
+    let j = i + params.entries;
+    return mix(a, mix(table[j].extinction, table[j + 1u].extinction, p.entry.fraction), p.down);
+}
+
+fn emission_of(p: Place) -> vec3<f32> {
+    let i = p.row + p.entry.below;
+    let a = mix(table[i].emission, table[i + 1u].emission, p.entry.fraction);
+    if !GRADED { return a; }
+    let j = i + params.entries;
+    return mix(a, mix(table[j].emission, table[j + 1u].emission, p.entry.fraction), p.down);
+}
+
+fn albedo_of(p: Place) -> vec3<f32> {
+    let i = p.row + p.entry.below;
+    let a = mix(table[i].albedo, table[i + 1u].albedo, p.entry.fraction);
+    if !GRADED { return a; }
+    let j = i + params.entries;
+    return mix(a, mix(table[j].albedo, table[j + 1u].albedo, p.entry.fraction), p.down);
 }
 
 // A ray among the bricks, in index space.
@@ -169,23 +240,22 @@ var<private> radiance: vec3<f32>;
 struct Collision {
     position: vec3<f32>,
     t: f32,
-    entry: Entry,
+    place: Place,
     sigma: f32,
     found: bool,
 }
 
-const NO_COLLISION: Collision = Collision(vec3(0.0), 0.0, Entry(0u, 0.0), 0.0, false);
+const NO_COLLISION: Collision = Collision(vec3(0.0), 0.0, Place(Entry(0u, 0.0), 0u, 0.0, false), 0.0, false);
 
 // Delta tracking along a part of a ray.
 fn collide(origin: vec3<f32>, way: vec3<f32>, near: f32, far: f32, xi: f32) -> Collision {
     if !begin_walk(origin, way, near, far, xi) { return NO_COLLISION; }
     while fly() {
         let position = here();
-        let value = data(position);
-        if value >= HOLE && kept(position, params.clips) {
-            let e = entry(value, params.lo, params.scale, params.entries);
-            let sigma = mix(table[e.below].extinction, table[e.below + 1u].extinction, e.fraction);
-            if GLOW { radiance += weight * mix(table[e.below].emission, table[e.below + 1u].emission, e.fraction) / walk.bound; }
+        let place = look(position);
+        if place.there {
+            let sigma = extinction_of(place);
+            if GLOW { radiance += weight * emission_of(place) / walk.bound; }
             if sigma > walk.bound * 1.0001 { exceeded += 1.0; }
             let xi = next_number();
             if CHROMATIC {
@@ -194,11 +264,11 @@ fn collide(origin: vec3<f32>, way: vec3<f32>, near: f32, far: f32, xi: f32) -> C
                 let chance = min(dot(weight, sigmas) / total, 1.0);
                 if xi < chance {
                     weight *= sigmas / (walk.bound * chance);
-                    return Collision(position, walk.t, e, sigma, true);
+                    return Collision(position, walk.t, place, sigma, true);
                 }
                 weight *= max(walk.bound - sigmas, vec3(0.0)) / (walk.bound * (1.0 - chance));
             } else if xi * walk.bound < sigma {
-                return Collision(position, walk.t, e, sigma, true);
+                return Collision(position, walk.t, place, sigma, true);
             }
         }
         again();
@@ -212,10 +282,9 @@ fn transmittance(origin: vec3<f32>, way: vec3<f32>, far: f32) -> vec3<f32> {
     if !begin_walk(origin, way, 0.0, far, next_number()) { return left; }
     while fly() {
         let position = here();
-        let value = data(position);
-        if value >= HOLE && kept(position, params.clips) {
-            let e = entry(value, params.lo, params.scale, params.entries);
-            let sigma = mix(table[e.below].extinction, table[e.below + 1u].extinction, e.fraction);
+        let place = look(position);
+        if place.there {
+            let sigma = extinction_of(place);
             if sigma > walk.bound * 1.0001 { exceeded += 1.0; }
             left *= max(1.0 - sigma / walk.bound * params.chromatic, vec3(0.0));
             let most = max(left.x, max(left.y, left.z));
@@ -330,7 +399,8 @@ fn lobe_at(c: Collision, albedo: vec3<f32>, gradient: vec3<f32>, way: vec3<f32>,
         chance = (1.0 - exp(-c.sigma * params.reference)) * steep;
     }
     if all(normal == vec3(0.0)) || xi >= chance { return cloud; }
-    let s = mix(surfaces[c.entry.below], surfaces[c.entry.below + 1u], c.entry.fraction);
+    let e = c.place.entry;
+    let s = mix(surfaces[e.below], surfaces[e.below + 1u], e.fraction);
     if dot(normal, way) > 0.0 { normal = -normal; }
     let facing = (s.w - 1.0) / (s.w + 1.0);
     return Lobe(s.x * albedo, s.y, normal, facing * facing, blinn_exponent(s.z));
@@ -387,7 +457,7 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
         if bounce == 0u { draw = number_pair(2u); } else { draw = vec2(next_number(), next_number()); }
         let c = follow(origin, way, draw.x, pdf);
         if !c.found { break; }
-        let albedo = mix(table[c.entry.below].albedo, table[c.entry.below + 1u].albedo, c.entry.fraction);
+        let albedo = albedo_of(c.place);
         var gradient = vec3(0.0);
         if bounce == 0u || SURFACES > 0u { gradient = gradient_at(c.position); }
         if bounce == 0u {

@@ -15,7 +15,7 @@ use gloaming::grid::BrickLayout;
 use gloaming::medium::Medium;
 use gloaming::scene::Scene;
 use gloaming::session::Session;
-use gloaming::transfer::{Table, TransferFunction};
+use gloaming::transfer::{Graded, Table, TransferFunction};
 
 fn grid(n: usize) -> Grid {
     // Of about unit size, anisotropic, away from the origin.
@@ -166,6 +166,7 @@ impl Stage {
         Trace {
             grid: &self.medium.grid,
             field: &self.medium.field,
+            gradient: self.medium.gradient.as_ref(),
             table: &self.medium.table,
             surface: None,
             bricks: self.medium.bricks,
@@ -480,6 +481,85 @@ fn what_glows_is_looked_for_and_no_more() {
     let error = ((tally[0].squares[0] / n - mean * mean) / n).sqrt();
     assert!((mean - 50.0 * chord).abs() < 4.0 * error, "{mean} ± {error}, not {}", 50.0 * chord);
     assert_eq!(tally[0].coverage, 0.0);
+}
+
+/// Values and gradient magnitudes: bricks are bounded by what both of them reach there, and by no more than that.
+#[test]
+fn two_dimensional_tables_are_bounded_brick_by_brick() {
+    let mut stage = Stage::new(24, 0);
+    let regions = "transfer.steepest = 0.15\ntransfer.regions = [{ value = [0.2, 0.7], gradient = [0.0, 0.5], opacity = 0.9 }, \
+                   { gradient = [0.5, 1.0], opacity = 0.7, shape = \"triangle\" }]";
+    let scene = Scene::parse(regions, "test", &[]).unwrap();
+    let g = stage.medium.grid;
+    let table = TransferFunction::new(&scene.transfer).unwrap().table([0.0, 1.0], g.mean_spacing());
+    let mut medium = Medium::new(&stage.device, g, table.clone()).unwrap();
+    let field = Arc::new(Dense::new(g.size, values(&g, blob)));
+    medium.take(&stage.device, &Timestep { step: 0, time: None, grid: g, field }).unwrap();
+    medium.classify(table.clone());
+    stage.medium = medium;
+    let steepness = stage.device.brick_range(&stage.medium.bricks, stage.medium.gradient.as_ref().unwrap()).unwrap();
+    stage.majorant = table.densest(&stage.medium.ranges, Some(&steepness));
+    let sum = |of: &[f32]| of.iter().sum::<f32>();
+    assert!(sum(&stage.majorant) < 0.9 * sum(&stage.medium.majorant), "tighter than over all gradients");
+
+    // Every collision looks whether its extinction is above the bound.
+    let traced = |majorant: &[f32]| {
+        let mut tallies = vec![Tally::default(); SIZE[0] * SIZE[1]];
+        let trace = Trace { majorant, samples: 0..200, ..stage.trace() };
+        stage.device.trace(&trace, SIZE, &mut tallies).unwrap().exceeded
+    };
+    assert_eq!(traced(&stage.majorant), 0);
+    let low: Vec<f32> = stage.majorant.iter().map(|m| 0.7 * m).collect();
+    assert!(traced(&low) > 0);
+}
+
+/// A two-dimensional table whose rows are alike is the one-dimensional one; pre-integration is of rays that march, and no point of a
+/// path knows of it.
+#[test]
+fn gradients_that_do_not_matter_and_preintegration_change_nothing() {
+    let mut stage = Stage::new(16, 0);
+    let plain = tallies(&stage.device, &[stage.trace()]);
+    let table = stage.medium.table.clone();
+    let steepest = 3.0;
+    let rows = |of: &[[f32; 3]]| of.repeat(7);
+    let graded =
+        Graded { steepest, extinction: table.extinction.repeat(7), albedo: rows(&table.albedo), emission: vec![] };
+    let mut gradient = stage.device.alloc(stage.medium.grid.len()).unwrap();
+    stage.device.gradient(&stage.medium.grid, &stage.medium.field, &mut gradient).unwrap();
+    let steepness = stage.device.brick_range(&stage.medium.bricks, &gradient).unwrap();
+    assert!(steepness.iter().any(|s| s[1] > 0.5 * steepest), "rows are reached");
+    stage.medium.gradient = Some(gradient);
+    stage.medium.table = Table { graded: Some(graded), ..table.clone() };
+    assert_eq!(stage.medium.table.densest(&stage.medium.ranges, Some(&steepness)), stage.majorant);
+    assert_eq!(tallies(&stage.device, &[stage.trace()]), plain);
+
+    stage.medium.table = Table { preintegrated: true, ..table };
+    assert_eq!(tallies(&stage.device, &[stage.trace()]), plain);
+    let frame = |more: &str| {
+        let text = format!("{SMALL}render.samples = 2\ntransfer.extinction = 12.0\n{more}");
+        picture(&text, grid(12), values(&grid(12), blob)).pixels
+    };
+    assert_eq!(frame("transfer.preintegrated = true"), frame(""));
+}
+
+/// Ray casting shows the same of values and gradients.
+#[test]
+fn ray_casting_agrees_on_values_and_gradients() {
+    let scene = |kind: &str, steepest: f64| {
+        let text = format!(
+            "render.kind = \"{kind}\"\nrender.size = [32, 32]\nrender.step = 0.2\nrender.samples = 256\npathtrace.filter = 0.0\n\
+             transfer.steepest = {steepest}\nlight.scattering = false\nlight.resolution = 1.0\n\
+             [[transfer.regions]]\nvalue = [0.1, 0.9]\ngradient = [0.2, 0.8]\nopacity = 0.4\ncolor = [1.0, 0.8, 0.6]\nemission = 0.1\n\
+             [[lights]]\ndirection = [0.5, 0.7, -0.6]\nintensity = 4.0"
+        );
+        picture(&text, grid(24), values(&grid(24), blob))
+    };
+    let (fast, truth) = (scene("raycast", 0.2), scene("pathtrace", 0.2));
+    let error = rmse(&fast, &truth);
+    // As without gradients: ray casting looks through the middle of a pixel alone.
+    assert!(error < 0.05, "{error}");
+    let steeper = rmse(&fast, &scene("pathtrace", 0.4));
+    assert!(steeper > 0.2, "gradients count: {steeper}");
 }
 
 /// A cut takes away what is behind it, exactly, with its shadows; a cut and its inverse make the whole. Ray casting cuts the same.

@@ -20,13 +20,15 @@ use crate::transfer::Table;
 /// - Random numbers are a hash of pixel, sample, dimension and seed: the same sample comes out whichever call, tile or thread makes
 ///   it. Those of a path's first dimensions are an Owen-scrambled Sobol' sequence over the samples of a pixel.
 ///
-/// Data are trilinear between values and clamped in the rim of half a value.
+/// Data are trilinear between values and clamped in the rim of half a value, and so are gradient magnitudes.
 pub struct Trace<'a> {
     /// The data grid.
     pub grid: &'a Grid,
     /// Data values; below [`crate::field::HOLE`] transparent.
     pub field: &'a Buffer,
-    /// Values to optics.
+    /// Their gradient magnitudes, where the table is two-dimensional.
+    pub gradient: Option<&'a Buffer>,
+    /// Values to optics. Collisions are points: a table for pre-integration is read like any other.
     pub table: &'a Table,
     /// How surfaces reflect, where there are any.
     pub surface: Option<Surface<'a>>,

@@ -14,7 +14,7 @@ use crate::render::Renderer;
 use crate::render::denoise::{self, Guides};
 use crate::render::film::{Film, Moments, Stop};
 use crate::scene::{PathtraceKeys, PhaseKey, RenderKeys, SamplingKey, ScatteringKey, Scene};
-use crate::transfer::{Table, surfaces};
+use crate::transfer::surfaces;
 
 /// Path tracing.
 pub struct Pathtrace {
@@ -73,6 +73,7 @@ impl Pathtrace {
         Trace {
             grid: &medium.grid,
             field: &medium.field,
+            gradient: medium.gradient.as_ref(),
             table: &medium.table,
             surface: factor.map(|factor| Surface { factor, columns: &self.surfaces, reference }),
             bricks: medium.bricks,
@@ -130,7 +131,7 @@ impl Renderer for Pathtrace {
         size: [usize; 2],
     ) -> Result<Frame> {
         let emitters = self.emitters.on(&medium.grid);
-        let majorant = majorants(medium);
+        let majorant = majorants(device, medium)?;
         let mut trace = self.scene(medium, &majorant, &emitters, camera);
         if camera.lens.radius > 0.0 && camera.lens.focus.is_none() {
             trace.focus = focus(device, &trace)?;
@@ -178,13 +179,14 @@ fn moments(tally: &Tally) -> Moments {
 }
 
 /// A bound on extinction in each brick, above 0 also where something glows, so that paths look there: at least once in two voxels.
-fn majorants(medium: &Medium) -> Vec<f32> {
+fn majorants(device: &dyn Device, medium: &Medium) -> Result<Vec<f32>> {
     let glows = !medium.table.emission.is_empty();
-    let dark = Table { emission: vec![], ..medium.table.clone() };
-    let extinction = dark.majorants(&medium.ranges);
+    let steepness =
+        medium.gradient.as_ref().map(|gradient| device.brick_range(&medium.bricks, gradient)).transpose()?;
+    let extinction = medium.table.densest(&medium.ranges, steepness.as_deref());
     let least = (0.5 / medium.grid.mean_spacing()) as f32;
     let bound = |(sigma, seen): (f32, &f32)| if glows && *seen > 0.0 { sigma.max(least) } else { sigma };
-    extinction.into_iter().zip(&medium.majorant).map(bound).collect()
+    Ok(extinction.into_iter().zip(&medium.majorant).map(bound).collect())
 }
 
 /// Where the middle ray meets the medium, in the mean over its paths; the middle of the volume where it meets none.

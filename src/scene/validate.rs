@@ -89,13 +89,6 @@ impl Scene {
                     .into(),
             ));
         }
-        if self.render.kind == RenderKind::Pathtrace && (self.transfer.two_dimensional() || self.transfer.preintegrated)
-        {
-            return Err(Error::Unsupported(
-                "render.kind = \"pathtrace\" with transfer.regions, transfer.painting or transfer.preintegrated\n  try: transfer.opacity alone, or render.kind = \"raycast\""
-                    .into(),
-            ));
-        }
         self.isosurface.validate()?;
         movie(&self.movie)?;
         insitu(&self.insitu)

@@ -167,6 +167,36 @@ impl Table {
         ranges.iter().map(majorant).collect()
     }
 
+    /// For each range of data values the largest extinction of any value in it, as [`Table::majorants`] bounds both. `gradients`
+    /// are the ranges of gradient magnitudes in the same places, for a two-dimensional table: of its rows only those count.
+    pub fn densest(&self, ranges: &[[f32; 2]], gradients: Option<&[[f32; 2]]>) -> Vec<f32> {
+        let last = self.extinction.len() - 1;
+        let entries = |[lo, hi]: [f32; 2]| {
+            let at = |value: f32| self.normalise(value) * last as f32;
+            (at(lo).floor() as usize, (at(hi).ceil() as usize).min(last))
+        };
+        let Some((graded, gradients)) = self.graded.as_ref().zip(gradients) else {
+            let peaks = Peaks::new(self.extinction.clone());
+            let most = |&[lo, hi]: &[f32; 2]| {
+                let (first, last) = entries([lo, hi.max(lo)]);
+                if lo <= hi { peaks.max(first, last) } else { 0.0 }
+            };
+            return ranges.iter().map(most).collect();
+        };
+        let rows: Vec<Peaks> = graded.extinction.chunks(last + 1).map(|row| Peaks::new(row.to_vec())).collect();
+        let bottom = rows.len() - 1;
+        let most = |(&[lo, hi], &[flat, steep]): (&[f32; 2], &[f32; 2])| {
+            if !(lo <= hi && flat <= steep) {
+                return 0.0;
+            }
+            let (first, last) = entries([lo, hi]);
+            let at = |gradient: f32| (gradient * graded.scale()).clamp(0.0, bottom as f32);
+            let (above, below) = (at(flat).floor() as usize, (at(steep).ceil() as usize).min(bottom));
+            rows[above..=below].iter().fold(0.0f32, |most, row| most.max(row.max(first, last)))
+        };
+        ranges.iter().zip(gradients).map(most).collect()
+    }
+
     /// Extinction or emission of an entry, whichever is larger.
     fn visibility(&self, entry: usize) -> f32 {
         let emission = self.emission.get(entry).copied().unwrap_or_default();

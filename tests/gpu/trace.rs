@@ -4,6 +4,7 @@ use gloaming::BrickLayout;
 use gloaming::camera::{Camera, Lens};
 use gloaming::device::emitter::{Emitter, Shape};
 use gloaming::device::{Clip, ClipShape, Phase, Sampling, Surface, Tally, Trace};
+use gloaming::transfer::Graded;
 
 use super::*;
 
@@ -60,13 +61,16 @@ fn stage(chromatic: [f32; 3], glow: bool) -> Stage {
 fn tallies(d: &dyn Device, stage: &Stage, change: impl Fn(&mut Trace)) -> Vec<Tally> {
     let bricks = BrickLayout::new(SIZE, 8);
     let field = upload(d, &stage.values);
-    let dark = Table { emission: vec![], ..stage.table.clone() };
-    let bound = dark.majorants(&d.brick_range(&bricks, &field).unwrap());
+    let mut gradient = d.alloc(stage.values.len()).unwrap();
+    d.gradient(&stage.grid, &field, &mut gradient).unwrap();
+    let [values, steepness] = [&field, &gradient].map(|of| d.brick_range(&bricks, of).unwrap());
+    let bound = stage.table.densest(&values, Some(&steepness));
     let majorant: Vec<f32> =
         bound.iter().map(|m| if stage.table.emission.is_empty() { *m } else { m.max(3.0) }).collect();
     let mut trace = Trace {
         grid: &stage.grid,
         field: &field,
+        gradient: stage.table.graded.is_some().then_some(&gradient),
         table: &stage.table,
         surface: None,
         bricks,
@@ -125,6 +129,31 @@ fn paths_through_coloured_glowing_media_agree() {
 }
 
 #[test]
+fn paths_through_values_and_gradients_agree() {
+    let mut stage = stage([1.0; 3], true);
+    let (rows, width) = (5, Table::ENTRIES);
+    let at = |i: usize| ((i % width) as f32 / (width - 1) as f32, (i / width) as f32 / (rows - 1) as f32);
+    let each = || (0..rows * width).map(at);
+    // Steep places are dense, red and dark.
+    let graded = Graded {
+        steepest: 6.0,
+        extinction: each().map(|(v, g)| 14.0 * v * (0.2 + g)).collect(),
+        albedo: each().map(|(v, g)| [0.9, 0.5 + 0.4 * v, 1.0 - g]).collect(),
+        emission: each().map(|(v, g)| [0.2 * v, 0.3 * (1.0 - g), 0.0]).collect(),
+    };
+    let rows_of_0 = Table {
+        extinction: graded.extinction[(rows - 1) * width..].to_vec(),
+        albedo: graded.albedo[..width].to_vec(),
+        emission: graded.emission[..width].to_vec(),
+        ..stage.table
+    };
+    stage.table = Table { graded: Some(graded), ..rows_of_0 };
+    agree(&stage, |_| ());
+    stage.table.chromatic = [1.0, 0.6, 0.3];
+    agree(&stage, |t| t.surface = Some(Surface { factor: Some(0.7), columns: &WIDE, reference: 0.1 }));
+}
+
+#[test]
 fn paths_to_surfaces_that_shine_agree() {
     let mut stage = stage([1.0; 3], false);
     let (lo, hi) = stage.grid.bounds();
@@ -158,6 +187,7 @@ fn paths_to_surfaces_that_shine_agree() {
 }
 
 static COLUMNS: [[f32; 4]; 64] = [[0.9, 1.0, 0.3, 1.6]; 64];
+static WIDE: [[f32; 4]; Table::ENTRIES] = [[0.9, 1.0, 0.3, 1.6]; Table::ENTRIES];
 static CLIPS: [Clip; 2] = [
     Clip { shape: ClipShape::Plane { normal: Vec3::new(1.0, 0.4, 0.2), offset: 9.0 }, invert: false },
     Clip { shape: ClipShape::Box { low: Vec3::splat(8.0), high: Vec3::splat(12.0) }, invert: true },

@@ -387,7 +387,7 @@ impl Device for Cpu {
     }
 
     fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
-        Ok(self.pool.install(|| trace::trace(trace, host(trace.field), picture, tallies)))
+        Ok(self.pool.install(|| trace::trace(trace, (host(trace.field), trace.gradient.map(host)), picture, tallies)))
     }
 
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {

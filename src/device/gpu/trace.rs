@@ -45,6 +45,8 @@ pub(super) struct Params {
     factor: f32,
     reference: f32,
     clips: u32,
+    rows: u32,
+    steep: f32,
 }
 
 #[derive(ShaderType)]
@@ -78,13 +80,18 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
     }
     refuse(gpu, trace)?;
     let table = trace.table;
-    let optics: Vec<Optics> = (0..table.extinction.len())
+    let (extinction, albedo, emission) = table.columns();
+    let optics: Vec<Optics> = (0..extinction.len())
         .map(|i| Optics {
-            albedo: table.albedo[i].into(),
-            extinction: table.extinction[i],
-            emission: table.emission.get(i).copied().unwrap_or_default().into(),
+            albedo: albedo[i].into(),
+            extinction: extinction[i],
+            emission: emission.get(i).copied().unwrap_or_default().into(),
         })
         .collect();
+    let gradient = match trace.gradient.filter(|_| table.graded.is_some()) {
+        Some(gradient) => holds(gradient, trace.grid.len())?.clone(),
+        None => gpu.scratch(1)?,
+    };
     let surfaces: Vec<Vec4> =
         trace.surface.map_or(vec![], |s| s.columns.iter().map(|c| Vec4::from_array(*c)).collect());
     let table = gpu.structures(&optics)?;
@@ -94,6 +101,7 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
     let (majorant, images) = (gpu.storage(trace.majorant)?, gpu.storage(trace.images)?);
     let parts = [
         ("GLOW", f64::from(!trace.table.emission.is_empty())),
+        ("GRADED", f64::from(trace.table.graded.is_some())),
         ("CHROMATIC", f64::from(trace.table.chromatic != [1.0; 3])),
         ("SURFACES", trace.surface.map_or(0.0, |s| if s.factor.is_some() { 1.0 } else { 2.0 })),
     ];
@@ -107,6 +115,7 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
             let bindings = [
                 ("params", &params),
                 ("field", holds(trace.field, trace.grid.len())?),
+                ("gradient", &gradient),
                 ("table", &table),
                 ("surfaces", &surfaces),
                 ("majorant", &majorant),
@@ -184,6 +193,8 @@ fn params(trace: &Trace, picture: [usize; 2], sample: u32) -> Params {
         factor: trace.surface.and_then(|s| s.factor).unwrap_or(0.0),
         reference: trace.surface.map_or(0.0, |s| s.reference),
         clips: trace.clips.len() as u32,
+        rows: table.graded.as_ref().map_or(1, |g| g.rows() as u32),
+        steep: table.graded.as_ref().map_or(0.0, |g| g.scale()),
     }
 }
 

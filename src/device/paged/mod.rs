@@ -642,7 +642,8 @@ impl Device for Paged {
             )),
             e => e,
         })?;
-        self.inner.trace(&Trace { field, samples: trace.samples.clone(), ..*trace }, picture, tallies)
+        let gradient = trace.gradient.map(|gradient| self.near(gradient)).transpose()?;
+        self.inner.trace(&Trace { field, gradient, samples: trace.samples.clone(), ..*trace }, picture, tallies)
     }
 
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {

@@ -8,10 +8,13 @@ use super::numbers::Numbers;
 use crate::device::cpu::march;
 use crate::device::{Clip, Surface, Trace};
 use crate::field::HOLE;
+use crate::transfer::Graded;
 
 /// What a ray meets, in a form for kernels. Positions are world lengths from value (0, 0, 0).
 pub(super) struct Medium<'a> {
     field: &'a [f32],
+    /// Gradient magnitudes, rows of the table for a unit of them, and the last row; where the table has rows.
+    gradient: Option<(&'a [f32], f32, f32)>,
     /// Values along x, y, z.
     size: [usize; 3],
     /// Lower corner of the last cell.
@@ -25,7 +28,7 @@ pub(super) struct Medium<'a> {
     scale: f32,
     entries: usize,
     extinction: &'a [f32],
-    pub albedo: &'a [[f32; 3]],
+    albedo: &'a [[f32; 3]],
     emission: &'a [[f32; 3]],
     /// Factor on extinction per channel.
     chromatic: Vec3,
@@ -41,14 +44,23 @@ pub(super) struct Medium<'a> {
     pub surface: Option<Surface<'a>>,
 }
 
+/// Where a position lies in the table.
+#[derive(Clone, Copy)]
+pub(super) struct Entry {
+    /// Entry below, and fraction of the way to the next.
+    pub at: (usize, f32),
+    /// Where its row begins, and fraction of the way to the next row.
+    row: (usize, f32),
+}
+
 /// Where a path collides.
 pub(super) struct Collision {
     /// World length along the ray.
     pub t: f32,
     /// Index position.
     pub position: Vec3,
-    /// Entry of the table, and fraction of the way to the next.
-    pub entry: (usize, f32),
+    /// What is there.
+    pub entry: Entry,
     /// Extinction of the channel that dims most.
     pub sigma: f32,
 }
@@ -156,13 +168,20 @@ impl Walk {
 }
 
 impl<'a> Medium<'a> {
-    pub fn new(trace: &Trace<'a>, field: &'a [f32]) -> Self {
-        let size = trace.grid.size;
+    /// `gradient`: the magnitudes of `trace.gradient`.
+    pub fn new(trace: &Trace<'a>, field: &'a [f32], gradient: Option<&'a [f32]>) -> Self {
+        let (size, len) = (trace.grid.size, trace.grid.len());
         let table = trace.table;
+        let (extinction, albedo, emission) = table.columns();
+        let rows = |graded: &Graded| {
+            let gradient = gradient.expect("a two-dimensional table comes with gradients");
+            (&gradient[..len], graded.scale(), (graded.rows() - 1) as f32)
+        };
         let counts = trace.bricks.counts();
         let reach = |a: usize, stride: usize| if size[a] > 1 { stride } else { 0 };
         Medium {
-            field: &field[..trace.grid.len()],
+            field: &field[..len],
+            gradient: table.graded.as_ref().map(rows),
             size,
             last_cell: Vec3::from(size.map(|n| n.saturating_sub(2) as f32)),
             last: Vec3::from(size.map(|n| n as f32 - 1.0)),
@@ -171,9 +190,9 @@ impl<'a> Medium<'a> {
             lo: table.lo,
             scale: table.scale(),
             entries: table.extinction.len(),
-            extinction: &table.extinction,
-            albedo: &table.albedo,
-            emission: &table.emission,
+            extinction,
+            albedo,
+            emission,
             chromatic: table.chromatic.into(),
             gray: table.chromatic == [1.0; 3],
             glows: !table.emission.is_empty(),
@@ -194,18 +213,23 @@ impl<'a> Medium<'a> {
         ((cell.as_vec3() + 0.5) * self.per_edge).as_ivec3()
     }
 
-    /// The value at an index position; below [`HOLE`] where it touches a hole.
+    /// Lower corner of the cell at an index position, and where in the cell that is.
     #[inline]
-    fn value(&self, position: Vec3) -> f32 {
+    fn cell(&self, position: Vec3) -> (usize, Vec3) {
         let p = position.max(Vec3::ZERO).min(self.last);
         let cell = p.min(self.last_cell).as_ivec3();
-        let f = p - cell.as_vec3();
         let [nx, ny, _] = self.size;
-        let at = (cell.z as usize * ny + cell.y as usize) * nx + cell.x as usize;
+        ((cell.z as usize * ny + cell.y as usize) * nx + cell.x as usize, p - cell.as_vec3())
+    }
+
+    /// The field, or its gradient magnitudes, in a cell.
+    #[inline]
+    fn interpolate(&self, of: &[f32], (at, f): (usize, Vec3)) -> f32 {
+        debug_assert_eq!(of.len(), self.field.len());
         let [x, y, z] = self.stride;
         // SAFETY: a cell's lower corner is at most the last but one along each axis that has more than one value, and the
-        // stride along the others is 0, so that all corners are inside the field, whose length `new` has checked.
-        let v = |offset: usize| unsafe { *self.field.get_unchecked(at + offset) };
+        // stride along the others is 0, so that all corners are inside the grid, to whose length `new` has cut both.
+        let v = |offset: usize| unsafe { *of.get_unchecked(at + offset) };
         let g = Vec3::ONE - f;
         // Exact at both ends, also beside a hole.
         let row = |offset: usize| v(offset) * g.x + v(offset + x) * f.x;
@@ -213,32 +237,60 @@ impl<'a> Medium<'a> {
         plane(0) * g.z + plane(z) * f.z
     }
 
+    /// The value at an index position; below [`HOLE`] where it touches a hole.
     #[inline]
-    fn entry(&self, value: f32) -> (usize, f32) {
-        let at = ((value - self.lo) * self.scale).clamp(0.0, 1.0) * (self.entries - 1) as f32;
-        let below = (at as usize).min(self.entries.max(2) - 2);
-        (below, at - below as f32)
+    fn value(&self, position: Vec3) -> f32 {
+        self.interpolate(self.field, self.cell(position))
     }
 
-    /// A column of the table at an entry.
+    /// A column of one row of the table at an entry.
     #[inline]
     pub fn column<const N: usize>(column: &[[f32; N]], (below, fraction): (usize, f32)) -> [f32; N] {
         let (a, b) = (column[below], column[(below + 1).min(column.len() - 1)]);
         std::array::from_fn(|c| a[c] * (1.0 - fraction) + b[c] * fraction)
     }
 
+    /// A colour of the table.
     #[inline]
-    fn sigma(&self, (below, fraction): (usize, f32)) -> f32 {
-        let above = (below + 1).min(self.entries - 1);
-        self.extinction[below] * (1.0 - fraction) + self.extinction[above] * fraction
+    fn colour(&self, column: &[[f32; 3]], Entry { at, row: (first, down) }: Entry) -> Vec3 {
+        let of = |first: usize| Vec3::from(Self::column(&column[first..first + self.entries], at));
+        let above = of(first);
+        // The same to the bit where rows are alike.
+        if down == 0.0 { above } else { above + (of(first + self.entries) - above) * down }
     }
 
-    /// The table's entry at an index position; `None` in holes and where the medium is cut away.
+    /// Single-scattering albedo.
     #[inline]
-    fn look(&self, position: Vec3) -> Option<(usize, f32)> {
-        let value = self.value(position);
-        let there = value >= HOLE && self.clips.iter().all(|clip| clip.keeps(position));
-        there.then(|| self.entry(value))
+    pub fn albedo(&self, entry: Entry) -> Vec3 {
+        self.colour(self.albedo, entry)
+    }
+
+    #[inline]
+    fn sigma(&self, Entry { at: (below, fraction), row: (first, down) }: Entry) -> f32 {
+        let above = (below + 1).min(self.entries - 1);
+        let of = |first: usize| {
+            self.extinction[first + below] * (1.0 - fraction) + self.extinction[first + above] * fraction
+        };
+        let above = of(first);
+        if down == 0.0 { above } else { above + (of(first + self.entries) - above) * down }
+    }
+
+    /// Where an index position lies in the table; `None` in holes and where the medium is cut away.
+    #[inline]
+    fn look(&self, position: Vec3) -> Option<Entry> {
+        let cell = self.cell(position);
+        let value = self.interpolate(self.field, cell);
+        if value < HOLE || !self.clips.iter().all(|clip| clip.keeps(position)) {
+            return None;
+        }
+        let at = ((value - self.lo) * self.scale).clamp(0.0, 1.0) * (self.entries - 1) as f32;
+        let below = (at as usize).min(self.entries.max(2) - 2);
+        let row = self.gradient.map_or((0, 0.0), |(gradient, scale, last)| {
+            let at = (self.interpolate(gradient, cell) * scale).clamp(0.0, last);
+            let row = (at as usize).min(last as usize - 1);
+            (row * self.entries, at - row as f32)
+        });
+        Some(Entry { at: (below, at - below as f32), row })
     }
 
     /// Calls `event` at each tentative collision along a part of a ray, with the position, t and the majorant there, until it says
@@ -302,7 +354,7 @@ impl<'a> Medium<'a> {
             let Some(entry) = self.look(position) else { return true };
             let sigma = self.sigma(entry);
             if self.glows {
-                *glow += *weight * Vec3::from(Self::column(self.emission, entry)) / majorant;
+                *glow += *weight * self.colour(self.emission, entry) / majorant;
             }
             *exceeded += u64::from(sigma > majorant * 1.0001);
             let xi = numbers.draw();

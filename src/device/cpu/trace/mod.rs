@@ -19,12 +19,17 @@ pub mod scatter;
 mod shapes;
 
 /// Adds samples to the sums of a picture's pixels on the threads of the current rayon pool.
-pub(crate) fn trace(trace: &Trace, field: &[f32], picture: [usize; 2], tallies: &mut [Tally]) -> Traced {
+pub(crate) fn trace(
+    trace: &Trace,
+    (field, gradient): (&[f32], Option<&[f32]>),
+    picture: [usize; 2],
+    tallies: &mut [Tally],
+) -> Traced {
     assert_eq!(tallies.len(), picture[0] * picture[1], "a tally for each pixel");
     if trace.grid.is_empty() || picture.contains(&0) {
         return Traced::default();
     }
-    let kernel = Kernel::new(trace, field, picture);
+    let kernel = Kernel::new(trace, Medium::new(trace, field, gradient), picture);
     let rows = tallies.par_chunks_mut(picture[0]).enumerate();
     let exceeded = rows.with_max_len(1).map(|(y, row)| kernel.row(y, row)).sum();
     Traced { exceeded }
@@ -62,13 +67,13 @@ struct Kernel<'a> {
 }
 
 impl<'a> Kernel<'a> {
-    fn new(trace: &'a Trace<'a>, field: &'a [f32], picture: [usize; 2]) -> Self {
+    fn new(trace: &'a Trace<'a>, medium: Medium<'a>, picture: [usize; 2]) -> Self {
         let Camera { eye, right, up, tan, .. } = *trace.camera;
         let met = |e: &&Emitter| e.shape != Shape::Point && !(e.shape == Shape::Distant && e.edge >= 1.0);
         let far = |e: &&Emitter| matches!(e.shape, Shape::Distant | Shape::Environment);
         let (behind, placed) = trace.emitters.iter().filter(met).partition(far);
         Kernel {
-            medium: Medium::new(trace, field),
+            medium,
             trace,
             picture,
             eye: (eye.as_dvec3() - DVec3::from(trace.grid.origin)).as_vec3(),
@@ -137,7 +142,7 @@ impl<'a> Kernel<'a> {
             );
             let Some(collision) = collision else { break };
             let here = origin + collision.t * way;
-            let albedo = Vec3::from(Medium::column(self.medium.albedo, collision.entry));
+            let albedo = self.medium.albedo(collision.entry);
             let gradient = match bounce == 0 || self.medium.surface.is_some() {
                 true => self.medium.gradient(collision.position),
                 false => Vec3::ZERO,
@@ -281,7 +286,7 @@ impl<'a> Kernel<'a> {
         if xi >= chance {
             return cloud;
         }
-        let [diffuse, specular, roughness, ior] = Medium::column(surface.columns, collision.entry);
+        let [diffuse, specular, roughness, ior] = Medium::column(surface.columns, collision.entry.at);
         let facing = (ior - 1.0) / (ior + 1.0);
         Lobe::Surface {
             normal: if normal.dot(way) > 0.0 { -normal } else { normal },
