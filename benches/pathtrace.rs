@@ -149,6 +149,7 @@ impl Stage {
             camera: &self.camera,
             focus: self.distance(),
             clips: &[],
+            meshes: None,
             phase: Phase::HenyeyGreenstein(0.0),
             sampling: Sampling::Both,
             depth,

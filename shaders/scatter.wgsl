@@ -8,6 +8,7 @@ struct Lobe {
     // Unit, on the side of the viewer; 0 for the phase function.
     normal: vec3<f32>,
     facing: f32,
+    // Blinn's; MATTE throws light back evenly (Lambert).
     exponent: f32,
 }
 
@@ -18,6 +19,7 @@ struct Worth {
 }
 
 const HENYEY_GREENSTEIN: u32 = 0u;
+const MATTE: f32 = -1.0;
 
 fn blinn_exponent(roughness: f32) -> f32 {
     let square = max(roughness, 0.03) * max(roughness, 0.03);
@@ -69,6 +71,10 @@ fn lobe_value(lobe: Lobe, kind: u32, g: f32, way: vec3<f32>, to: vec3<f32>) -> W
         return Worth(lobe.colour * p, p);
     }
     let i = dot(lobe.normal, to);
+    if lobe.exponent == MATTE {
+        let p = max(i, 0.0) / PI;
+        return Worth(lobe.colour * p, p);
+    }
     let o = -dot(lobe.normal, way);
     if i <= 0.0 || o <= 0.0 { return Worth(vec3(0.0), 0.0); }
     let halfway = unit_or_zero(to - way);
@@ -84,7 +90,7 @@ fn lobe_value(lobe: Lobe, kind: u32, g: f32, way: vec3<f32>, to: vec3<f32>) -> W
 
 fn lobe_sample(lobe: Lobe, kind: u32, g: f32, way: vec3<f32>, xi: vec3<f32>) -> vec3<f32> {
     if all(lobe.normal == vec3(0.0)) { return about(way, phase_cosine(kind, g, xi.x), TURN * xi.y); }
-    if xi.z < 0.5 { return about(lobe.normal, sqrt(1.0 - xi.x), TURN * xi.y); }
+    if xi.z < 0.5 || lobe.exponent == MATTE { return about(lobe.normal, sqrt(1.0 - xi.x), TURN * xi.y); }
     let halfway = about(lobe.normal, pow(1.0 - xi.x, 1.0 / (lobe.exponent + 1.0)), TURN * xi.y);
     return unit_or_zero(way - 2.0 * dot(way, halfway) * halfway);
 }

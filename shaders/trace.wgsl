@@ -1,6 +1,6 @@
 // Path tracing: L = Σ_paths f(path)/p(path), one path for each pixel (Kroes et al. 2012). Delta tracking with a majorant for each
 // brick, ratio tracking for shadows, light and scattering samples combined by the power heuristic.
-// field, gradient, table, surfaces, majorant, emitters, images, clips, sums → sums
+// field, gradient, table, surfaces, majorant, emitters, images, clips, walls, wall_colours, sums → sums
 
 struct Params {
     size: vec3<u32>,
@@ -41,9 +41,14 @@ struct Params {
     // Of a two-dimensional table: rows, and rows for a unit of gradient magnitude.
     rows: u32,
     steep: f32,
+    // Nodes of the tree of opaque surfaces.
+    walls: u32,
+    // How far from one paths go on, so that rounding does not have them meet it again.
+    lift: f32,
 }
 
 override GLOW: bool = true;
+override WALLS: bool = true;
 override CHROMATIC: bool = true;
 // Whether the table is two-dimensional.
 override GRADED: bool = true;
@@ -69,6 +74,8 @@ struct Optics {
 // For each pixel radiance, squares, coverage, albedo, normal, depth, collisions above the majorant.
 @group(0) @binding(8) var<storage, read_write> sums: array<f32>;
 @group(0) @binding(9) var<storage, read> gradient: array<f32>;
+@group(0) @binding(10) var<storage, read> walls: array<Wall>;
+@group(0) @binding(11) var<storage, read> wall_colours: array<vec3<f32>>;
 
 const SUMS: u32 = 15u;
 const BOTH: u32 = 0u;
@@ -330,8 +337,16 @@ fn placed(e: Emitter) -> bool {
     return e.shape > ENVIRONMENT;
 }
 
-// Follows a ray to its next collision, and collects what glows and every emitter that it meets before.
-fn follow(origin: vec3<f32>, way: vec3<f32>, xi: f32, pdf: f32) -> Collision {
+// What a ray ends at.
+struct End {
+    collision: Collision,
+    wall: WallHit,
+}
+
+// Follows a ray to its next collision or to a wall, and collects what glows and every emitter that it meets before.
+fn follow(origin: vec3<f32>, way: vec3<f32>, xi: f32, pdf: f32) -> End {
+    var wall = NO_WALL;
+    if WALLS { wall = first_wall(origin, way, FAR, params.walls); }
     var start = 0.0;
     var number = xi;
     loop {
@@ -341,27 +356,28 @@ fn follow(origin: vec3<f32>, way: vec3<f32>, xi: f32, pdf: f32) -> Collision {
             let e = emitters[i];
             if !placed(e) || (pdf == 0.0 && e.visible == 0u) { continue; }
             let hit = hit_emitter(e, origin, way);
-            if hit.found && hit.distance > start && (!next.found || hit.distance < next.distance) {
+            if hit.found && hit.distance > start && hit.distance < wall.t && (!next.found || hit.distance < next.distance) {
                 next = hit;
                 share = share_of_hit(e, hit, pdf);
             }
         }
         if !next.found { break; }
         let collision = collide(origin, way, start, next.distance, number);
-        if collision.found { return collision; }
+        if collision.found { return End(collision, NO_WALL); }
         radiance += weight * next.radiance * share;
         start = next.distance;
         number = next_number();
     }
-    let collision = collide(origin, way, start, FAR, number);
-    if collision.found { return collision; }
+    let collision = collide(origin, way, start, wall.t, number);
+    if collision.found { return End(collision, NO_WALL); }
+    if wall.found { return End(NO_COLLISION, wall); }
     for (var i = 0u; i < params.emitters; i++) {
         let e = emitters[i];
         if placed(e) || (pdf == 0.0 && e.visible == 0u) { continue; }
         let hit = hit_emitter(e, origin, way);
         if hit.found { radiance += weight * hit.radiance * share_of_hit(e, hit, pdf); }
     }
-    return collision;
+    return End(NO_COLLISION, NO_WALL);
 }
 
 // Light that comes straight from one emitter and goes on against `way`.
@@ -385,6 +401,7 @@ fn light(lobe: Lobe, origin: vec3<f32>, way: vec3<f32>, choice: f32, xi: vec3<f3
     }
     let found = worth.f * sample.radiance * (counts / density);
     if !(max(found.x, max(found.y, found.z)) > 0.0) { return vec3(0.0); }
+    if WALLS && first_wall(origin, sample.direction, sample.distance, params.walls).found { return vec3(0.0); }
     return found * transmittance(origin, sample.direction, sample.distance);
 }
 
@@ -445,7 +462,8 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
     weight = vec3(1.0);
     radiance = vec3(0.0);
     exceeded = 0.0;
-    var first = NO_COLLISION;
+    var met_any = false;
+    var first_t = 0.0;
     var first_albedo = vec3(0.0);
     var first_normal = vec3(0.0);
     // Density with which the way was chosen.
@@ -455,19 +473,36 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
         if bounce > 0u && bounce == params.depth && !any_light() { break; }
         var draw: vec2<f32>;
         if bounce == 0u { draw = number_pair(2u); } else { draw = vec2(next_number(), next_number()); }
-        let c = follow(origin, way, draw.x, pdf);
-        if !c.found { break; }
-        let albedo = albedo_of(c.place);
-        var gradient = vec3(0.0);
-        if bounce == 0u || SURFACES > 0u { gradient = gradient_at(c.position); }
+        let end = follow(origin, way, draw.x, pdf);
+        let c = end.collision;
+        var met: vec3<f32>;
+        var lobe: Lobe;
+        var albedo: vec3<f32>;
+        var normal: vec3<f32>;
+        var t: f32;
+        if c.found {
+            albedo = albedo_of(c.place);
+            var gradient = vec3(0.0);
+            if bounce == 0u || SURFACES > 0u { gradient = gradient_at(c.position); }
+            normal = -unit_or_zero(gradient * params.per_length);
+            t = c.t;
+            met = origin + t * way;
+            lobe = lobe_at(c, albedo, gradient, way, next_number());
+        } else if WALLS && end.wall.found {
+            albedo = wall_colours[end.wall.mesh];
+            normal = end.wall.normal;
+            t = end.wall.t;
+            // What has come from afar is rounded more.
+            met = origin + t * way + (params.lift + 1e-6 * t) * normal;
+            lobe = Lobe(albedo, 0.0, normal, 0.0, MATTE);
+        } else { break; }
         if bounce == 0u {
-            first = c;
+            met_any = true;
+            first_t = t;
             first_albedo = albedo;
-            first_normal = -unit_or_zero(gradient * params.per_length);
+            first_normal = normal;
         }
         if bounce == params.depth { break; }
-        let met = origin + c.t * way;
-        let lobe = lobe_at(c, albedo, gradient, way, next_number());
 
         var xi: vec2<f32>;
         if bounce == 0u { xi = number_pair(3u); } else { xi = vec2(next_number(), next_number()); }
@@ -501,7 +536,7 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
         sums[out + 7u + c] += first_albedo[c];
         sums[out + 10u + c] += first_normal[c];
     }
-    sums[out + 6u] += select(0.0, 1.0, first.found);
-    sums[out + 13u] += first.t;
+    sums[out + 6u] += select(0.0, 1.0, met_any);
+    sums[out + 13u] += first_t;
     sums[out + 14u] += exceeded;
 }

@@ -15,7 +15,10 @@ use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::scene::MeshKeys;
 
+mod flat;
 mod load;
+
+pub use flat::Node;
 
 /// Where a ray ends.
 #[derive(Debug, Clone, Copy, PartialEq)]

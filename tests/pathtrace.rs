@@ -176,6 +176,7 @@ impl Stage {
             camera: &self.camera,
             focus: 1.0,
             clips: &[],
+            meshes: None,
             phase: Phase::HenyeyGreenstein(0.3),
             sampling: Sampling::Both,
             depth: 20,
@@ -560,6 +561,96 @@ fn ray_casting_agrees_on_values_and_gradients() {
     assert!(error < 0.05, "{error}");
     let steeper = rmse(&fast, &scene("pathtrace", 0.4));
     assert!(steeper > 0.2, "gradients count: {steeper}");
+}
+
+/// A file of squares of edge 1 about points, facing up, or of a cube of edge 1 about the origin.
+fn mesh(folder: &tempfile::TempDir, name: &str, squares: &[[f64; 3]]) -> String {
+    let path = folder.path().join(name);
+    let corner = |[x, y, z]: [f64; 3]| format!("v {x} {y} {z}\n");
+    let text = match squares {
+        [] => {
+            let corners: String =
+                (0..8).map(|i| corner([0, 1, 2].map(|a| if i >> a & 1 == 1 { 0.5 } else { -0.5 }))).collect();
+            corners + "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n"
+        }
+        squares => (squares.iter().enumerate())
+            .map(|(n, [x, y, z])| {
+                let at = |dx: f64, dy: f64| corner([x + dx, y + dy, *z]);
+                let face = [1, 2, 3, 4].map(|i| (4 * n + i).to_string()).join(" ");
+                at(-0.5, -0.5) + &at(0.5, -0.5) + &at(0.5, 0.5) + &at(-0.5, 0.5) + &format!("f {face}\n")
+            })
+            .collect(),
+    };
+    std::fs::write(&path, text).unwrap();
+    format!("[[meshes]]\npath = \"{}\"\n", path.display())
+}
+
+/// A white mesh in a cloud in even light cannot be seen either: every way that ends at it goes on.
+#[test]
+fn white_furnace_with_a_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    let cube = mesh(&folder, "cube.obj", &[]);
+    let furnace = |more: &str| {
+        let text = format!(
+            "{SMALL}transfer.colormap = \"white\"\ntransfer.albedo = 1.0\ntransfer.extinction = 5.0\n{more}\n\
+             [[lights]]\nkind = \"environment\"\nintensity = 2.0\n\
+             {cube}color = [1, 1, 1]\nscale = 0.4\nrotate = [20, 30, 40]\nposition = [3.5, -6.5, 11.5]"
+        );
+        picture(&text, grid(12), values(&grid(12), blob))
+    };
+    let frame = furnace("pathtrace.sampling = \"scattering\"\nrender.samples = 16");
+    assert!(frame.pixels.iter().filter(|p| p[3] == 1.0).count() > 20, "the cube is opaque");
+    for p in &frame.pixels {
+        let seen = p[0] + 2.0 * (1.0 - p[3]);
+        assert!((seen - 2.0).abs() < 1e-4, "{seen}");
+    }
+    let frame = furnace("render.samples = 64");
+    let ((light, error), (coverage, _)) = (mean(&frame, 1), mean(&frame, 3));
+    assert!((light + 2.0 * (1.0 - coverage) - 2.0).abs() < 4.0 * error, "{light} {coverage} ± {error}");
+    assert!(error < 0.01, "{error}");
+}
+
+/// `L = ρ/π · E cos θ`, dimmed on the way to the surface and on the way back; nothing where another surface is in the way of the
+/// light; ρ times the light all around in even light, however it is found.
+#[test]
+fn meshes_throw_light_back_and_cast_shadows() {
+    let folder = tempfile::tempdir().unwrap();
+    let g = Grid { size: [16; 3], spacing: [1.0 / 16.0; 3], origin: [1.0 / 32.0; 3] };
+    let floor = mesh(&folder, "floor.obj", &[[0.5, 0.5, 0.3]]);
+    let shown = |value: f32, more: &str| {
+        let text = format!(
+            "render.kind = \"pathtrace\"\nrender.size = [5, 5]\npathtrace.filter = 0.0\ntransfer.colormap = \"white\"\n\
+             transfer.extinction = 2.0\ntransfer.albedo = 0.0\n{more}\n\
+             [[cameras]]\nposition = [0.5, 0.5, 6]\ntarget = [0.5, 0.5, 0]\nup = [0, 1, 0]\nfov = 1\n{floor}color = [0.5, 0.25, 1.0]"
+        );
+        picture(&text, g, vec![value; g.len()])
+    };
+    let sun = |direction: &str| format!("render.samples = 4\n[[lights]]\nintensity = 3\ndirection = {direction}");
+    for (direction, cosine) in [("[0, 0, -1]", 1.0), ("[0.6, 0, -0.8]", 0.8), ("[0, 0, 1]", 0.0)] {
+        for p in &shown(0.0, &sun(direction)).pixels {
+            for (c, share) in [0.5, 0.25, 1.0].into_iter().enumerate() {
+                let wanted = share * 3.0 * cosine / std::f32::consts::PI;
+                assert!((p[c] - wanted).abs() <= 1e-4 * wanted, "{p:?} {wanted}");
+            }
+            assert_eq!(p[3], 1.0);
+        }
+    }
+    // A light from aside meets the roof first, which the camera passes.
+    let roof = mesh(&folder, "roof.obj", &[[0.0, 0.0, 0.0]]);
+    let roof = format!("\n{roof}scale = 0.2\nposition = [0.2, 0.5, 0.7]");
+    assert!(shown(0.0, &(sun("[0.6, 0, -0.8]") + &roof)).pixels.iter().all(|p| p[..3] == [0.0; 3] && p[3] == 1.0));
+    assert!(shown(0.0, &(sun("[-0.6, 0, -0.8]") + &roof)).pixels.iter().all(|p| p[0] > 0.3));
+
+    let dim = shown(1.0, &sun("[0, 0, -1]").replace("= 4", "= 4000"));
+    let ((light, error), wanted) = (mean(&dim, 2), 3.0 / std::f64::consts::PI * (-2.0f64 * 1.4).exp());
+    assert!((light - wanted).abs() < 4.0 * error && error < 0.02 * wanted, "{light} ± {error}, not {wanted}");
+
+    for sampling in ["both", "lights", "scattering"] {
+        let sky = "[[lights]]\nkind = \"environment\"\nintensity = 2";
+        let even = shown(0.0, &format!("render.samples = 400\npathtrace.sampling = \"{sampling}\"\n{sky}"));
+        let (light, error) = mean(&even, 0);
+        assert!((light - 1.0).abs() < 4.0 * error + 1e-5 && error < 0.02, "{sampling}: {light} ± {error}");
+    }
 }
 
 /// A cut takes away what is behind it, exactly, with its shadows; a cut and its inverse make the whole. Ray casting cuts the same.

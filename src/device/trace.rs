@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::emitter::Emitter;
 use super::{Buffer, Clip};
 use crate::camera::Camera;
+use crate::geometry::Geometry;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
 
@@ -16,6 +17,7 @@ use crate::transfer::Table;
 /// - At a collision light is sampled from one emitter, chosen by its share, dimmed by ratio tracking, and the path goes on along
 ///   the phase function or a surface's reflection; rays collect the emitters that they meet. Both ways to find the same light are
 ///   combined by the power heuristic.
+/// - A ray that meets a mesh ends there, and the path goes on from it as from a collision; nothing gets through it.
 /// - From the third scattering on a path survives with the probability of its largest weight.
 /// - Random numbers are a hash of pixel, sample, dimension and seed: the same sample comes out whichever call, tile or thread makes
 ///   it. Those of a path's first dimensions are an Owen-scrambled Sobol' sequence over the samples of a pixel.
@@ -47,6 +49,8 @@ pub struct Trace<'a> {
     pub focus: f32,
     /// Where the medium is cut away.
     pub clips: &'a [Clip],
+    /// Opaque surfaces in it, which throw light back evenly (Lambert).
+    pub meshes: Option<&'a Geometry>,
     /// How it scatters where it has no surface.
     pub phase: Phase,
     /// Which light is found how.
@@ -99,13 +103,13 @@ pub enum Sampling {
 pub struct Tally {
     /// Radiance per channel.
     pub radiance: [f64; 3],
-    /// 1 for each sample that met the medium.
+    /// 1 for each sample that met the medium or a mesh.
     pub coverage: f64,
     /// Square of the radiance per channel.
     pub squares: [f64; 3],
-    /// Single-scattering albedo where the medium was met first.
+    /// Single-scattering albedo, or the mesh's colour, where something was met first.
     pub albedo: [f32; 3],
-    /// World direction against the gradient there, unit, or 0.
+    /// World direction against the gradient there, or the mesh's normal, unit, or 0.
     pub normal: [f32; 3],
     /// Distance from the eye's plane along the ray to there, world length.
     pub depth: f32,

@@ -1,5 +1,6 @@
 //! Path tracing (Kroes et al. 2012): pictures that converge to the truth as `n^−½`, which everything faster is held against.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::camera::{Camera, Lens};
@@ -7,6 +8,7 @@ use crate::device::emitter::Emitter;
 use crate::device::{Device, Phase, Sampling, Surface, Tally, Trace};
 use crate::error::Result;
 use crate::frame::{Display, Frame, Layer};
+use crate::geometry::Geometry;
 use crate::light::LightVolume;
 use crate::lights::Emitters;
 use crate::medium::Medium;
@@ -26,6 +28,7 @@ pub struct Pathtrace {
     /// Reference length of opacity in voxels, and surfaces for each entry of the table.
     reference: f64,
     surfaces: Vec<[f32; 4]>,
+    meshes: Option<Arc<Geometry>>,
 }
 
 impl Pathtrace {
@@ -36,11 +39,11 @@ impl Pathtrace {
     /// Samples that find what to focus on.
     const FOCUS: u32 = 256;
 
-    /// Path tracing as a scene says.
+    /// Path tracing as a scene says, with what is opaque in it.
     ///
     /// # Errors
     /// Those of [`Emitters::new`].
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &Scene, meshes: Option<Arc<Geometry>>) -> Result<Self> {
         let g = scene.transfer.anisotropy;
         Ok(Pathtrace {
             keys: scene.pathtrace.clone(),
@@ -53,6 +56,7 @@ impl Pathtrace {
             },
             reference: scene.transfer.reference,
             surfaces: surfaces(&scene.transfer),
+            meshes,
         })
     }
 
@@ -83,6 +87,7 @@ impl Pathtrace {
             camera,
             focus: camera.lens.focus.unwrap_or(1.0),
             clips: &medium.clips,
+            meshes: self.meshes.as_deref(),
             phase: self.phase,
             sampling: match self.keys.sampling {
                 SamplingKey::Both => Sampling::Both,

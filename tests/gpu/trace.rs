@@ -4,6 +4,8 @@ use gloaming::BrickLayout;
 use gloaming::camera::{Camera, Lens};
 use gloaming::device::emitter::{Emitter, Shape};
 use gloaming::device::{Clip, ClipShape, Phase, Sampling, Surface, Tally, Trace};
+use gloaming::geometry::Geometry;
+use gloaming::scene::MeshKeys;
 use gloaming::transfer::Graded;
 
 use super::*;
@@ -80,6 +82,7 @@ fn tallies(d: &dyn Device, stage: &Stage, change: impl Fn(&mut Trace)) -> Vec<Ta
         camera: &stage.camera,
         focus: 3.0,
         clips: &[],
+        meshes: None,
         phase: Phase::HenyeyGreenstein(0.4),
         sampling: Sampling::Both,
         depth: 8,
@@ -151,6 +154,43 @@ fn paths_through_values_and_gradients_agree() {
     agree(&stage, |_| ());
     stage.table.chromatic = [1.0, 0.6, 0.3];
     agree(&stage, |t| t.surface = Some(Surface { factor: Some(0.7), columns: &WIDE, reference: 0.1 }));
+}
+
+#[test]
+fn paths_among_meshes_agree() {
+    let mut stage = stage([1.0; 3], false);
+    let (lo, hi) = stage.grid.bounds();
+    let middle = 0.5 * (lo + hi);
+    let folder = tempfile::tempdir().unwrap();
+    // A ball of triangles, and a square that reaches out of the volume.
+    let ball = folder.path().join("ball.obj");
+    let (round, high) = (12, 8);
+    let corner = |i: usize| {
+        let (a, b) = ((i % round) as f64 / round as f64, ((i / round) as f64 + 0.5) / high as f64);
+        let (turn, tilt) = (std::f64::consts::TAU * a, std::f64::consts::PI * b);
+        format!("v {} {} {}\n", turn.cos() * tilt.sin(), turn.sin() * tilt.sin(), tilt.cos())
+    };
+    let face = |i: usize| {
+        let next = if i % round + 1 == round { i + 1 - round } else { i + 1 };
+        format!("f {} {} {} {}\n", i + 1, next + 1, next + round + 1, i + round + 1)
+    };
+    let (corners, faces): (String, String) =
+        ((0..round * high).map(corner).collect(), (0..round * (high - 1)).map(face).collect());
+    std::fs::write(&ball, corners + &faces).unwrap();
+    let square = folder.path().join("square.obj");
+    std::fs::write(&square, "v -1 -1 0\nv 1 -1 0.3\nv 1 1 0\nv -1 1 -0.2\nf 1 2 3 4\n").unwrap();
+    let position = [middle.x + 0.3, middle.y - 0.2, middle.z + 0.1];
+    let below = [middle.x, middle.y, lo.z + 0.2];
+    let geometry = Geometry::load(&[
+        MeshKeys { path: ball, color: [0.9, 0.6, 0.3], scale: 0.4, rotate: [10.0, 20.0, 30.0], position },
+        MeshKeys { path: square, color: [0.5, 0.7, 0.9], scale: 1.5, position: below, ..Default::default() },
+    ]);
+    let geometry = geometry.unwrap();
+    agree(&stage, |t| t.meshes = geometry.as_ref());
+    let disk =
+        Emitter { visible: true, share: 0.2, position: Vec3::new(1.0, 0.8, 3.0), axis: -Vec3::Z, ..stage.emitters[2] };
+    stage.emitters[2] = Emitter { shape: Shape::Disk, u: 0.8 * Vec3::X, v: 0.8 * Vec3::Y, ..disk };
+    agree(&stage, |t| (t.meshes, t.depth) = (geometry.as_ref(), 2));
 }
 
 #[test]

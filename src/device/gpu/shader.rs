@@ -109,7 +109,7 @@ pub static SURFACE_LIGHT: Shader =
 /// See `shaders/trace.wgsl`.
 pub static TRACE: Shader = shader!(
     "trace",
-    ["grid", "table", "clip", "hash", "numbers", "emitter", "shapes", "scatter"],
+    ["grid", "table", "clip", "hash", "numbers", "emitter", "shapes", "scatter", "walls"],
     size_of::<trace::Params>()
 );
 

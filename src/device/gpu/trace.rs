@@ -9,6 +9,7 @@ use super::{Gpu, holds, uvec3};
 use crate::device::emitter::Emitter;
 use crate::device::{Phase, Sampling, Tally, Trace, Traced};
 use crate::error::Result;
+use crate::geometry::Node;
 
 /// Sums of a pixel in `shaders/trace.wgsl`.
 const SUMS: usize = 15;
@@ -47,6 +48,18 @@ pub(super) struct Params {
     clips: u32,
     rows: u32,
     steep: f32,
+    walls: u32,
+    lift: f32,
+}
+
+/// A node of the tree of triangles: see [`crate::geometry::Node`].
+#[derive(ShaderType)]
+struct Wall {
+    lower: Vec3,
+    skip: u32,
+    upper: Vec3,
+    mesh: u32,
+    edge: Vec3,
 }
 
 #[derive(ShaderType)]
@@ -78,7 +91,8 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
     if trace.grid.is_empty() || picture.contains(&0) {
         return Ok(Traced::default());
     }
-    refuse(gpu, trace)?;
+    let (nodes, colours) = walls(trace);
+    refuse(gpu, trace, nodes.len())?;
     let table = trace.table;
     let (extinction, albedo, emission) = table.columns();
     let optics: Vec<Optics> = (0..extinction.len())
@@ -98,9 +112,11 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
     let surfaces = gpu.structures(&surfaces)?;
     let emitters = gpu.structures(&trace.emitters.iter().map(emitter).collect::<Vec<_>>())?;
     let clips = gpu.structures(&clips(trace.clips))?;
+    let (walls, wall_colours) = (gpu.structures(&nodes)?, gpu.structures(&colours)?);
     let (majorant, images) = (gpu.storage(trace.majorant)?, gpu.storage(trace.images)?);
     let parts = [
         ("GLOW", f64::from(!trace.table.emission.is_empty())),
+        ("WALLS", f64::from(trace.meshes.is_some())),
         ("GRADED", f64::from(trace.table.graded.is_some())),
         ("CHROMATIC", f64::from(trace.table.chromatic != [1.0; 3])),
         ("SURFACES", trace.surface.map_or(0.0, |s| if s.factor.is_some() { 1.0 } else { 2.0 })),
@@ -111,7 +127,7 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
     for batch in samples.chunks(BATCH) {
         let sums = gpu.scratch(SUMS * tallies.len())?;
         for &sample in batch {
-            let params = gpu.uniform(&params(trace, picture, sample))?;
+            let params = gpu.uniform(&params(trace, picture, sample, nodes.len()))?;
             let bindings = [
                 ("params", &params),
                 ("field", holds(trace.field, trace.grid.len())?),
@@ -122,6 +138,8 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
                 ("emitters", &emitters),
                 ("images", &images),
                 ("clips", &clips),
+                ("walls", &walls),
+                ("wall_colours", &wall_colours),
                 ("sums", &sums),
             ];
             gpu.run_with(&TRACE, "trace", &parts, &bindings, groups)?;
@@ -144,16 +162,25 @@ pub(super) fn trace(gpu: &Gpu, trace: &Trace, picture: [usize; 2], tallies: &mut
 }
 
 /// What the shader cannot do.
-fn refuse(gpu: &Gpu, trace: &Trace) -> Result<()> {
-    // Rounds of a path: bricks on its way, and tentative collisions, there and towards a light, for each of its scatterings.
+fn refuse(gpu: &Gpu, trace: &Trace, nodes: usize) -> Result<()> {
+    // Rounds of a path: bricks on its way, tentative collisions, and nodes of a tree of surfaces that are seen edge on, there and
+    // towards a light, for each of its scatterings.
     let (lo, hi) = trace.grid.bounds();
     let densest = trace.majorant.iter().fold(0.0f32, |m, v| m.max(*v));
     let across = trace.bricks.counts().iter().sum::<usize>() as f64;
-    let rounds = across + f64::from(densest) * (hi - lo).length();
+    let rounds = across + f64::from(densest) * (hi - lo).length() + 4.0 * (nodes as f64).sqrt();
     gpu.rounds(rounds * 2.0 * f64::from(trace.depth.clamp(1, 16)), "a path through so dense a medium")
 }
 
-fn params(trace: &Trace, picture: [usize; 2], sample: u32) -> Params {
+/// The tree of opaque surfaces, relative to value (0, 0, 0), and their colours.
+fn walls(trace: &Trace) -> (Vec<Wall>, Vec<Vec3>) {
+    let Some(meshes) = trace.meshes else { return (vec![], vec![]) };
+    let wall = |Node { lower, skip, upper, mesh, edge }| Wall { lower, skip, upper, mesh, edge };
+    let nodes = meshes.nodes(DVec3::from(trace.grid.origin)).into_iter().map(wall).collect();
+    (nodes, meshes.colors().iter().map(|c| Vec3::from(*c)).collect())
+}
+
+fn params(trace: &Trace, picture: [usize; 2], sample: u32, walls: usize) -> Params {
     let (grid, table, camera) = (trace.grid, trace.table, trace.camera);
     let aspect = picture[0] as f32 / picture[1] as f32;
     let (phase, g) = match trace.phase {
@@ -195,6 +222,8 @@ fn params(trace: &Trace, picture: [usize; 2], sample: u32) -> Params {
         clips: trace.clips.len() as u32,
         rows: table.graded.as_ref().map_or(1, |g| g.rows() as u32),
         steep: table.graded.as_ref().map_or(0.0, |g| g.scale()),
+        walls: walls as u32,
+        lift: (1e-3 * grid.mean_spacing()) as f32,
     }
 }
 

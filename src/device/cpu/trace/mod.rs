@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::camera::{Camera, Lens};
 use crate::device::emitter::{Emitter, Hit, Shape};
 use crate::device::{Sampling, Surface, Tally, Trace, Traced};
+use crate::geometry;
 use medium::{Collision, Medium};
 use numbers::Numbers;
 use scatter::Lobe;
@@ -52,11 +53,21 @@ struct First {
     depth: f32,
 }
 
+/// What a ray ends at.
+enum End {
+    Medium(Collision),
+    Mesh(geometry::Hit),
+}
+
 struct Kernel<'a> {
     medium: Medium<'a>,
     trace: &'a Trace<'a>,
     picture: [usize; 2],
     eye: Vec3,
+    /// World position of value (0, 0, 0).
+    origin: DVec3,
+    /// How far from a mesh paths go on, so that rounding does not have them meet it again.
+    lift: f32,
     /// Already times tan of half the field of view, and the aspect.
     right: Vec3,
     up: Vec3,
@@ -77,6 +88,8 @@ impl<'a> Kernel<'a> {
             trace,
             picture,
             eye: (eye.as_dvec3() - DVec3::from(trace.grid.origin)).as_vec3(),
+            origin: DVec3::from(trace.grid.origin),
+            lift: (1e-3 * trace.grid.mean_spacing()) as f32,
             right: tan * picture[0] as f32 / picture[1] as f32 * right,
             up: tan * up,
             placed,
@@ -131,7 +144,7 @@ impl<'a> Kernel<'a> {
                 break;
             }
             let [flight, choice] = if bounce == 0 { numbers.pair(2) } else { [numbers.draw(), numbers.draw()] };
-            let collision = self.fly(
+            let end = self.fly(
                 (origin, way),
                 flight,
                 (bounce > 0).then_some(pdf),
@@ -140,21 +153,31 @@ impl<'a> Kernel<'a> {
                 &mut found,
                 exceeded,
             );
-            let Some(collision) = collision else { break };
-            let here = origin + collision.t * way;
-            let albedo = self.medium.albedo(collision.entry);
-            let gradient = match bounce == 0 || self.medium.surface.is_some() {
-                true => self.medium.gradient(collision.position),
-                false => Vec3::ZERO,
+            let (here, lobe, first) = match end {
+                None => break,
+                Some(End::Medium(collision)) => {
+                    let albedo = self.medium.albedo(collision.entry);
+                    let gradient = match bounce == 0 || self.medium.surface.is_some() {
+                        true => self.medium.gradient(collision.position),
+                        false => Vec3::ZERO,
+                    };
+                    let normal = -(gradient * self.medium.per_length).normalize_or_zero();
+                    let lobe = self.lobe(&collision, albedo, gradient, way, numbers.draw());
+                    (origin + collision.t * way, lobe, First { albedo, normal, depth: collision.t })
+                }
+                Some(End::Mesh(hit)) => {
+                    let (normal, albedo, depth) = (hit.normal.as_vec3(), Vec3::from(hit.color), hit.t as f32);
+                    // What has come from afar is rounded more.
+                    let here = origin + depth * way + (self.lift + 1e-6 * depth) * normal;
+                    (here, Lobe::Matte { normal, albedo }, First { albedo, normal, depth })
+                }
             };
             if bounce == 0 {
-                let normal = -(gradient * self.medium.per_length).normalize_or_zero();
-                found.first = Some(First { albedo, normal, depth: collision.t });
+                found.first = Some(first);
             }
             if bounce == trace.depth {
                 break;
             }
-            let lobe = self.lobe(&collision, albedo, gradient, way, numbers.draw());
 
             let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.draw(), numbers.draw()] };
             let third = numbers.draw();
@@ -190,7 +213,7 @@ impl<'a> Kernel<'a> {
         !lights && !self.medium.glows
     }
 
-    /// Follows a ray to its next collision, and collects what glows and every emitter that it meets before.
+    /// Follows a ray to its next collision or to a mesh, and collects what glows and every emitter that it meets before.
     #[inline]
     fn fly(
         &self,
@@ -201,31 +224,40 @@ impl<'a> Kernel<'a> {
         weight: &mut Vec3,
         found: &mut Found,
         exceeded: &mut u64,
-    ) -> Option<Collision> {
+    ) -> Option<End> {
         let radiance = &mut found.radiance;
+        let wall = self.wall(ray, f32::INFINITY);
+        let end = wall.map_or(f32::INFINITY, |hit| hit.t as f32);
         let mut from = 0.0;
         while !self.placed.is_empty() {
             // Free flights have no memory: to the next emitter and on from there is as well as at once.
-            let next = self.next(ray, from, pdf.is_none());
+            let next = self.next(ray, from, pdf.is_none()).filter(|(_, hit)| hit.distance < end);
             let Some((emitter, hit)) = next else { break };
             let until = from..hit.distance;
             let collision = self.medium.collide(ray, until, flight, numbers, weight, radiance, exceeded);
             if collision.is_some() {
-                return collision;
+                return collision.map(End::Medium);
             }
             *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
             from = hit.distance;
             flight = numbers.draw();
         }
-        let collision = self.medium.collide(ray, from..f32::INFINITY, flight, numbers, weight, radiance, exceeded);
-        if collision.is_none() {
+        let collision = self.medium.collide(ray, from..end, flight, numbers, weight, radiance, exceeded);
+        let end = collision.map(End::Medium).or(wall.map(End::Mesh));
+        if end.is_none() {
             for emitter in self.behind.iter().filter(|e| pdf.is_some() || e.visible) {
                 if let Some(hit) = emitter::hit(emitter, self.trace.images, ray.0, ray.1) {
                     *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
                 }
             }
         }
-        collision
+        end
+    }
+
+    /// The first mesh that a ray meets before a distance.
+    #[inline]
+    fn wall(&self, (origin, way): (Vec3, Vec3), before: f32) -> Option<geometry::Hit> {
+        self.trace.meshes?.first_hit(self.origin + origin.as_dvec3(), way.as_dvec3(), before.into())
     }
 
     /// The first emitter that a ray meets beyond a distance.
@@ -271,6 +303,9 @@ impl<'a> Kernel<'a> {
         };
         let worth = f * sample.radiance * (counts / density);
         if worth.is_nan() || worth.max_element() <= 0.0 {
+            return Vec3::ZERO;
+        }
+        if self.wall((here, sample.direction), sample.distance).is_some() {
             return Vec3::ZERO;
         }
         worth * self.medium.transmittance((here, sample.direction), 0.0..sample.distance, numbers, exceeded)

@@ -35,6 +35,13 @@ pub enum Lobe {
         /// Blinn's exponent.
         exponent: f32,
     },
+    /// It is thrown back evenly (Lambert).
+    Matte {
+        /// Unit, on the side of the viewer.
+        normal: Vec3,
+        /// Part of the light per channel that goes on.
+        albedo: Vec3,
+    },
 }
 
 /// Blinn's exponent of a roughness in 0..1.
@@ -103,6 +110,10 @@ impl Lobe {
                 let p = phase(of, way.dot(to));
                 (albedo * p, p)
             }
+            Lobe::Matte { normal, albedo } => {
+                let p = normal.dot(to).max(0.0) / PI;
+                (albedo * p, p)
+            }
             Lobe::Surface { normal, diffuse, specular, facing, exponent } => {
                 let (i, o) = (normal.dot(to), -normal.dot(way));
                 if i <= 0.0 || o <= 0.0 {
@@ -126,6 +137,7 @@ impl Lobe {
     pub fn sample(&self, way: Vec3, xi: [f32; 3]) -> Vec3 {
         match *self {
             Lobe::Phase { phase, .. } => about(way, cosine(phase, xi[0]), TAU * xi[1]),
+            Lobe::Matte { normal, .. } => about(normal, (1.0 - xi[0]).sqrt(), TAU * xi[1]),
             Lobe::Surface { normal, .. } if xi[2] < 0.5 => about(normal, (1.0 - xi[0]).sqrt(), TAU * xi[1]),
             Lobe::Surface { normal, exponent, .. } => {
                 let half = about(normal, (1.0 - xi[0]).powf(1.0 / (exponent + 1.0)), TAU * xi[1]);
