@@ -92,15 +92,16 @@ impl Medium {
     }
 
     /// For each of [`Medium::bricks`] whether it may look different than in the step before: what changed there, or in a halo of one
-    /// value, can or could be seen. `None` when that is not known, or when everything may.
-    pub fn looks_changed(&self, device: &dyn Device) -> Result<Option<Vec<bool>>> {
+    /// value, can or could be seen; or of two values, where gradients are looked at. `None` when that is not known, or when everything
+    /// may.
+    pub fn looks_changed(&self, device: &dyn Device, gradients: bool) -> Result<Option<Vec<bool>>> {
         if !self.same_table || self.majorant_before.len() != self.majorant.len() {
             return Ok(None);
         }
         let seen = self.majorant.iter().zip(&self.majorant_before).map(|(now, before)| *now > 0.0 || *before > 0.0);
         let Some(changed) = self.changed(device)? else { return Ok(None) };
         // Gradients in the halo depend on the values beyond it.
-        let beside = self.gradient.is_some().then(|| self.dilated(changed, |a, b| *a || b));
+        let beside = (gradients || self.gradient.is_some()).then(|| self.dilated(changed, |a, b| *a || b));
         let changed = beside.as_deref().unwrap_or(changed);
         Ok(Some(changed.iter().zip(seen).map(|(c, s)| *c && s).collect()))
     }

@@ -68,7 +68,8 @@ impl State {
         let mut medium = Medium::new(device, grid, table)?;
         medium.clips = clips(&scene.clip, &grid);
         // Volumes that are read slab after slab would be read twice.
-        if scene.light.warm && !device.pages() {
+        let replays = scene.render.kind == RenderKind::Pathtrace && scene.pathtrace.replay;
+        if (scene.light.warm || replays) && !device.pages() {
             medium.remember(device)?;
         }
         Ok(State {

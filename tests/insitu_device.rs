@@ -177,6 +177,17 @@ impl Device for Faulty {
         self.check()?;
         self.inner.trace(trace, picture, tallies)
     }
+    fn trace_tiles(
+        &self,
+        trace: &Trace,
+        tiles: &[u32],
+        picture: [usize; 2],
+        tallies: &mut [Tally],
+        touched: &mut [u64],
+    ) -> Result<Traced> {
+        self.check()?;
+        self.inner.trace_tiles(trace, tiles, picture, tallies, touched)
+    }
 }
 
 const SIZE: [usize; 3] = [12, 14, 16];

@@ -120,6 +120,14 @@ impl March<'_> {
     pub fn tiles(picture: [usize; 2]) -> [usize; 2] {
         picture.map(|n| n.div_ceil(Self::TILE))
     }
+
+    /// The rows of a tile as ranges of a picture's pixels, from the top.
+    pub fn rows(tile: u32, picture: [usize; 2]) -> impl Iterator<Item = Range<usize>> {
+        let [across, _] = Self::tiles(picture);
+        let [x, y] = [tile as usize % across, tile as usize / across].map(|t| t * Self::TILE);
+        let width = Self::TILE.min(picture[0] - x);
+        (y..(y + Self::TILE).min(picture[1])).map(move |y| y * picture[0] + x..y * picture[0] + x + width)
+    }
 }
 
 /// A ray on its way, between two slabs.

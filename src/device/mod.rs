@@ -40,6 +40,7 @@ pub use behind::Behind;
 pub use buffer::Buffer;
 pub(crate) use buffer::Storage;
 pub use clip::{Clip, ClipShape};
+pub(crate) use cpu::trace::bricks_ahead;
 pub(crate) use lamp::Falloff;
 pub use lamp::{Cone, Lamp};
 pub use march::{March, Part, Phong, Ray, Term, Weight};
@@ -324,13 +325,8 @@ pub trait Device: Send + Sync {
     fn march_tiles(&self, march: &March, tiles: &[u32], frame: &mut Frame) -> Result<()> {
         let mut whole = Frame::new(frame.size);
         self.march(march, &mut whole)?;
-        let [across, _] = March::tiles(frame.size);
-        for &tile in tiles {
-            let [x, y] = [tile as usize % across, tile as usize / across].map(|t| t * March::TILE);
-            for y in y..(y + March::TILE).min(frame.size[1]) {
-                let row = y * frame.size[0] + x..y * frame.size[0] + (x + March::TILE).min(frame.size[0]);
-                frame.pixels[row.clone()].copy_from_slice(&whole.pixels[row]);
-            }
+        for row in tiles.iter().flat_map(|tile| March::rows(*tile, frame.size)) {
+            frame.pixels[row.clone()].copy_from_slice(&whole.pixels[row]);
         }
         Ok(())
     }
@@ -456,6 +452,27 @@ pub trait Device: Send + Sync {
     /// Runs work of the host on the threads that this device computes on, where it has some of its own.
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
         work();
+    }
+
+    /// Path tracing of some tiles only ([`March::TILE`]); the other pixels' sums stay as they are. `touched` has
+    /// `trace.bricks.len().div_ceil(64)` words for each of the tiles and takes a bit for each brick that paths depended on: while these
+    /// bricks, their bounds, values in a halo of two and [`bricks_ahead`] of them stay what they are, the tile's samples do, to the bit.
+    fn trace_tiles(
+        &self,
+        trace: &Trace,
+        tiles: &[u32],
+        picture: [usize; 2],
+        tallies: &mut [Tally],
+        touched: &mut [u64],
+    ) -> Result<Traced> {
+        // Of paths that nobody has followed, any may have been anywhere.
+        touched.fill(u64::MAX);
+        let mut whole = tallies.to_vec();
+        let traced = self.trace(trace, picture, &mut whole)?;
+        for row in tiles.iter().flat_map(|tile| March::rows(*tile, picture)) {
+            tallies[row.clone()].copy_from_slice(&whole[row]);
+        }
+        Ok(traced)
     }
 }
 

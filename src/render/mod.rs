@@ -10,12 +10,14 @@ use crate::geometry::Geometry;
 use crate::light::LightVolume;
 use crate::medium::Medium;
 use crate::scene::{RenderKind, Scene};
+use replay::Paths;
 
 pub mod denoise;
 pub mod film;
 pub mod isosurface;
 mod pathtrace;
 mod raycast;
+pub mod replay;
 pub mod reuse;
 mod slices;
 mod surfaces;
@@ -54,6 +56,25 @@ pub trait Renderer: Send {
 
     /// True when a tile depends on nothing but the bricks that it sees, so that [`Renderer::render_tiles`] may do.
     fn keeps_tiles(&self) -> bool {
+        false
+    }
+
+    /// As [`Renderer::render`], to the bit, from the paths of the step before, where the camera is where it was; leaves those of this step.
+    /// Also how many tiles were kept.
+    fn replay(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        camera: &Camera,
+        size: [usize; 2],
+        paths: &mut Option<Paths>,
+    ) -> Result<(Frame, usize)> {
+        let _ = (device, medium, camera, size, paths);
+        Err(Error::Unsupported("pathtrace.replay\n  try: render.kind = \"pathtrace\"".into()))
+    }
+
+    /// True when pictures are to be made by [`Renderer::replay`].
+    fn replays(&self) -> bool {
         false
     }
 

@@ -15,6 +15,7 @@ use crate::medium::Medium;
 use crate::render::Renderer;
 use crate::render::denoise::{self, Guides};
 use crate::render::film::{Film, Moments, Stop};
+use crate::render::replay::{self, Paths};
 use crate::scene::{PathtraceKeys, PhaseKey, RenderKeys, SamplingKey, ScatteringKey, Scene};
 use crate::transfer::surfaces;
 
@@ -101,9 +102,9 @@ impl Pathtrace {
     }
 
     /// Takes samples until there are enough.
-    fn expose(&self, device: &dyn Device, mut trace: Trace, size: [usize; 2]) -> Result<(Film, Vec<Tally>)> {
+    fn expose(&self, device: &dyn Device, mut trace: Trace, size: [usize; 2]) -> Result<Vec<Tally>> {
         let stop = Stop {
-            samples: u32::try_from(self.render.samples).unwrap_or(u32::MAX),
+            samples: self.samples(),
             budget: self.render.budget_ms.map(|ms| Duration::from_secs_f64(1e-3 * ms)),
             error: self.render.target_error,
         };
@@ -119,21 +120,23 @@ impl Pathtrace {
             exceeded += device.trace(&trace, size, &mut tallies)?.exceeded;
             film.pixels.iter_mut().zip(&tallies).for_each(|(pixel, tally)| *pixel = moments(tally));
         }
-        if exceeded > 0 {
-            tracing::warn!("extinction was above its bound in {exceeded} collisions: the picture is too bright there");
-        }
-        Ok((film, tallies))
+        warn(exceeded);
+        Ok(tallies)
     }
-}
 
-impl Renderer for Pathtrace {
-    fn render(
+    /// Samples of each pixel at most.
+    fn samples(&self) -> u32 {
+        u32::try_from(self.render.samples).unwrap_or(u32::MAX)
+    }
+
+    /// The picture that `expose` finds the sums of.
+    fn picture(
         &self,
         device: &dyn Device,
         medium: &Medium,
-        _: &LightVolume,
         camera: &Camera,
         size: [usize; 2],
+        expose: impl FnOnce(Trace) -> Result<Vec<Tally>>,
     ) -> Result<Frame> {
         let emitters = self.emitters.on(&medium.grid);
         let majorant = majorants(device, medium)?;
@@ -141,7 +144,8 @@ impl Renderer for Pathtrace {
         if camera.lens.radius > 0.0 && camera.lens.focus.is_none() {
             trace.focus = focus(device, &trace)?;
         }
-        let (film, tallies) = self.expose(device, trace, size)?;
+        let tallies = expose(trace)?;
+        let film = Film { pixels: tallies.iter().map(moments).collect(), ..Film::new(size) };
 
         let estimate = film.estimate();
         let per_sample = |tally: &Tally, v: f32| v / tally.samples.max(1) as f32;
@@ -166,9 +170,52 @@ impl Renderer for Pathtrace {
         ];
         Ok(Frame { size, pixels: finished.pixels, layers })
     }
+}
+
+impl Renderer for Pathtrace {
+    fn render(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        _: &LightVolume,
+        camera: &Camera,
+        size: [usize; 2],
+    ) -> Result<Frame> {
+        self.picture(device, medium, camera, size, |trace| self.expose(device, trace, size))
+    }
+
+    fn replay(
+        &self,
+        device: &dyn Device,
+        medium: &Medium,
+        camera: &Camera,
+        size: [usize; 2],
+        paths: &mut Option<Paths>,
+    ) -> Result<(Frame, usize)> {
+        let mut kept = 0;
+        let frame = self.picture(device, medium, camera, size, |trace| {
+            let trace = Trace { samples: 0..self.samples(), ..trace };
+            let replayed = replay::replay(device, medium, &trace, size, paths)?;
+            warn(replayed.exceeded);
+            kept = replayed.kept;
+            Ok(replayed.tallies)
+        })?;
+        Ok((frame, kept))
+    }
+
+    fn replays(&self) -> bool {
+        self.keys.replay
+    }
 
     fn needs_light(&self) -> bool {
         false
+    }
+}
+
+/// Says when bounds did not hold.
+fn warn(exceeded: u64) {
+    if exceeded > 0 {
+        tracing::warn!("extinction was above its bound in {exceeded} collisions: the picture is too bright there");
     }
 }
 

@@ -11,19 +11,38 @@ use crate::frame::Frame;
 use crate::grid::Grid;
 use crate::light::{LightVolume, Touched};
 use crate::medium::Medium;
+use crate::render::replay::Paths;
 
 /// A picture of the step before.
 pub struct Kept {
     /// Who saw it.
     pub camera: Camera,
     /// What was seen.
-    pub frame: Frame,
+    pub seen: Seen,
+}
+
+/// What is kept of a picture.
+pub enum Seen {
+    /// Its pixels.
+    Frame(Frame),
+    /// The paths that it is made of.
+    Paths(Paths),
+}
+
+impl Seen {
+    pub(crate) fn frame(self) -> Option<Frame> {
+        if let Seen::Frame(frame) = self { Some(frame) } else { None }
+    }
+
+    pub(crate) fn paths(self) -> Option<Paths> {
+        if let Seen::Paths(paths) = self { Some(paths) } else { None }
+    }
 }
 
 /// For each of [`Medium::bricks`] whether it may look different than in the step before; `None`: every brick may.
 pub fn changed(device: &dyn Device, medium: &Medium, light: &LightVolume) -> Result<Option<Vec<bool>>> {
     let Touched::Bricks(layout, touched) = light.touched() else { return Ok(None) };
-    let Some(mut changed) = medium.looks_changed(device)? else { return Ok(None) };
+    let Some(mut changed) = medium.looks_changed(device, false)? else { return Ok(None) };
     let counts = medium.bricks.counts();
     for b in (0..layout.len()).filter(|&b| touched[b]) {
         // Data bricks with samples that interpolate this one's light, which reaches a light voxel beyond it.

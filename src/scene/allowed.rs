@@ -121,6 +121,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("pathtrace.sampling", "\"both\", \"lights\" or \"scattering\""),
     ("pathtrace.seed", "an integer from 0 to 4294967295"),
     ("pathtrace.denoise", "\"none\", \"knn\" or \"guided\""),
+    ("pathtrace.replay", "true or false"),
     ("pathtrace.filter", "a standard deviation from 0 to 8 pixels"),
     ("slices.shadows", "true or false"),
     ("slices.resolution", "texels per voxel above 0, at most 8"),

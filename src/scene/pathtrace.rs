@@ -22,6 +22,8 @@ pub struct PathtraceKeys {
     pub denoise: Denoise,
     /// Standard deviation of the Gaussian pixel filter in pixels; 0 leaves it out.
     pub filter: f32,
+    /// Whether tiles of a series whose paths met nothing that has changed keep their estimate.
+    pub replay: bool,
 }
 
 impl Default for PathtraceKeys {
@@ -35,6 +37,7 @@ impl Default for PathtraceKeys {
             seed: 1,
             denoise: Denoise::None,
             filter: 0.5,
+            replay: false,
         }
     }
 }

@@ -89,6 +89,13 @@ impl Scene {
                     .into(),
             ));
         }
+        if self.pathtrace.replay && (self.render.target_error.is_some() || self.render.budget_ms.is_some()) {
+            return Err(Error::Unsupported(
+                "pathtrace.replay with render.target_error or render.budget_ms, by which steps differ in their samples\n  try: render.samples \
+                 alone, or pathtrace.replay = false"
+                    .into(),
+            ));
+        }
         self.isosurface.validate()?;
         movie(&self.movie)?;
         insitu(&self.insitu)

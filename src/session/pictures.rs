@@ -7,7 +7,7 @@ use crate::frame::Frame;
 use crate::light::LightVolume;
 use crate::medium::Medium;
 use crate::render::Renderer;
-use crate::render::reuse::{self, Kept};
+use crate::render::reuse::{self, Kept, Seen};
 use crate::scene::{CameraKeys, Scene};
 use crate::sink::View;
 
@@ -40,22 +40,27 @@ impl Scenery<'_> {
         let mut pictures = Pictures::default();
         for keys in cameras(self.scene) {
             let camera = Camera::framed(&keys, &self.medium.grid, size[0] as f64 / size[1] as f64, steps)?;
-            // What changed since the picture is known, and the camera is where it was.
-            let kept = before.next().filter(|kept| kept.camera == camera).zip(changed.as_ref());
-            let again = match kept {
-                Some((kept, changed)) => {
-                    let tiles = reuse::tiles(self.medium, changed, &camera, size).filter(|tiles| tiles.len() < all);
-                    tiles.map(|tiles| (kept.frame, tiles))
+            let seen = before.next().filter(|kept| kept.camera == camera).map(|kept| kept.seen);
+            let (frame, reused) = if self.renderer.replays() {
+                let mut paths = seen.and_then(Seen::paths);
+                let (frame, reused) = self.renderer.replay(device, self.medium, &camera, size, &mut paths)?;
+                pictures.kept.extend(paths.map(|paths| Kept { camera, seen: Seen::Paths(paths) }));
+                (frame, reused)
+            } else {
+                // What changed since the picture is known, and the camera is where it was.
+                let again = seen.and_then(Seen::frame).zip(changed.as_ref()).and_then(|(frame, changed)| {
+                    let tiles = reuse::tiles(self.medium, changed, &camera, size)?;
+                    (tiles.len() < all).then_some((frame, tiles))
+                });
+                let (frame, rendered) = self.picture(device, &camera, again)?;
+                // Light that changes everywhere in this step will in the next, most likely: then a copy is not worth its time.
+                if changed.is_some() {
+                    pictures.kept.push(Kept { camera, seen: Seen::Frame(frame.clone()) });
                 }
-                None => None,
+                (frame, rendered.map_or(0, |tiles| all - tiles))
             };
-            let (frame, rendered) = self.picture(device, &camera, again)?;
             pictures.tiles_total += all as u64;
-            pictures.tiles_reused += rendered.map_or(0, |tiles| all - tiles) as u64;
-            // Light that changes everywhere in this step will in the next, most likely: then a copy is not worth its time.
-            if changed.is_some() {
-                pictures.kept.push(Kept { camera, frame: frame.clone() });
-            }
+            pictures.tiles_reused += reused as u64;
             pictures.views.push(view(&keys, &camera, frame));
         }
         Ok(pictures)

@@ -3,7 +3,7 @@
 use gloaming::BrickLayout;
 use gloaming::camera::{Camera, Lens};
 use gloaming::device::emitter::{Emitter, Shape};
-use gloaming::device::{Clip, ClipShape, Phase, Sampling, Surface, Tally, Trace};
+use gloaming::device::{Clip, ClipShape, Phase, Sampling, Surface, Tally, Trace, Traced};
 use gloaming::geometry::Geometry;
 use gloaming::scene::MeshKeys;
 use gloaming::transfer::Graded;
@@ -61,6 +61,16 @@ fn stage(chromatic: [f32; 3], glow: bool) -> Stage {
 }
 
 fn tallies(d: &dyn Device, stage: &Stage, change: impl Fn(&mut Trace)) -> Vec<Tally> {
+    tallies_by(d, stage, change, |trace, tallies| d.trace(trace, PICTURE, tallies))
+}
+
+/// The same by another call.
+fn tallies_by(
+    d: &dyn Device,
+    stage: &Stage,
+    change: impl Fn(&mut Trace),
+    call: impl FnOnce(&Trace, &mut [Tally]) -> gloaming::Result<Traced>,
+) -> Vec<Tally> {
     let bricks = BrickLayout::new(SIZE, 8);
     let field = upload(d, &stage.values);
     let mut gradient = d.alloc(stage.values.len()).unwrap();
@@ -91,7 +101,7 @@ fn tallies(d: &dyn Device, stage: &Stage, change: impl Fn(&mut Trace)) -> Vec<Ta
     };
     change(&mut trace);
     let mut tallies = vec![Tally::default(); PICTURE[0] * PICTURE[1]];
-    assert_eq!(d.trace(&trace, PICTURE, &mut tallies).unwrap().exceeded, 0);
+    assert_eq!(call(&trace, &mut tallies).unwrap().exceeded, 0);
     tallies
 }
 
@@ -185,12 +195,35 @@ fn paths_among_meshes_agree() {
         MeshKeys { path: ball, color: [0.9, 0.6, 0.3], scale: 0.4, rotate: [10.0, 20.0, 30.0], position },
         MeshKeys { path: square, color: [0.5, 0.7, 0.9], scale: 1.5, position: below, ..Default::default() },
     ]);
-    let geometry = geometry.unwrap();
-    agree(&stage, |t| t.meshes = geometry.as_ref());
+    // What a closure puts into any trace has to outlive them all.
+    let geometry: &'static Geometry = Box::leak(Box::new(geometry.unwrap().unwrap()));
+    agree(&stage, |t| t.meshes = Some(geometry));
     let disk =
         Emitter { visible: true, share: 0.2, position: Vec3::new(1.0, 0.8, 3.0), axis: -Vec3::Z, ..stage.emitters[2] };
     stage.emitters[2] = Emitter { shape: Shape::Disk, u: 0.8 * Vec3::X, v: 0.8 * Vec3::Y, ..disk };
-    agree(&stage, |t| (t.meshes, t.depth) = (geometry.as_ref(), 2));
+    agree(&stage, |t| (t.meshes, t.depth) = (Some(geometry), 2));
+}
+
+/// Tiles alone are traced as they are among all; where nobody follows paths, all bricks count as met.
+#[test]
+fn tiles_are_traced_alone() {
+    let stage = stage([1.0; 3], false);
+    let counts = gloaming::device::March::tiles(PICTURE);
+    let words = BrickLayout::new(SIZE, 8).len().div_ceil(64);
+    let whole = both(|d| tallies(d, &stage, |_| ()));
+    let tiles = [1, 2];
+    let some = both(|d| {
+        let mut touched = vec![0; tiles.len() * words];
+        let sums = tallies_by(d, &stage, |_| (), |t, sums| d.trace_tiles(t, &tiles, PICTURE, sums, &mut touched));
+        (sums, touched)
+    });
+    for (whole, (some, touched)) in whole.iter().zip(&some) {
+        for (n, (w, s)) in whole.iter().zip(some).enumerate() {
+            let tile = n / PICTURE[0] / 16 * counts[0] + n % PICTURE[0] / 16;
+            assert_eq!(*s, if tiles.contains(&(tile as u32)) { *w } else { Tally::default() });
+        }
+        assert!(touched.iter().any(|t| *t != 0));
+    }
 }
 
 #[test]

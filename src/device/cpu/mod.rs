@@ -390,6 +390,18 @@ impl Device for Cpu {
         Ok(self.pool.install(|| trace::trace(trace, (host(trace.field), trace.gradient.map(host)), picture, tallies)))
     }
 
+    fn trace_tiles(
+        &self,
+        trace: &Trace,
+        tiles: &[u32],
+        picture: [usize; 2],
+        tallies: &mut [Tally],
+        touched: &mut [u64],
+    ) -> Result<Traced> {
+        let data = (host(trace.field), trace.gradient.map(host));
+        Ok(self.pool.install(|| trace::trace_tiles(trace, data, tiles, picture, tallies, touched)))
+    }
+
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
         self.pool.install(work);
     }

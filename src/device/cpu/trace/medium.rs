@@ -4,10 +4,12 @@ use std::ops::Range;
 
 use glam::{IVec3, Vec3};
 
+use super::Trail;
 use super::numbers::Numbers;
 use crate::device::cpu::march;
 use crate::device::{Clip, Surface, Trace};
 use crate::field::HOLE;
+use crate::grid::BrickLayout;
 use crate::transfer::Graded;
 
 /// What a ray meets, in a form for kernels. Positions are world lengths from value (0, 0, 0).
@@ -42,6 +44,12 @@ pub(super) struct Medium<'a> {
     empty: Vec<u8>,
     clips: &'a [Clip],
     pub surface: Option<Surface<'a>>,
+}
+
+/// How many bricks a ray may cross at once from each: the Chebyshev distance to the nearest in which anything can be met; 0 in
+/// such a brick.
+pub(crate) fn bricks_ahead(bricks: &BrickLayout, majorant: &[f32]) -> Vec<u8> {
+    march::distances(bricks, majorant).into_iter().map(|d| d as u8).collect()
 }
 
 /// Where a position lies in the table.
@@ -200,7 +208,7 @@ impl<'a> Medium<'a> {
             bricks: IVec3::from(counts.map(|n| n as i32)),
             edge: trace.bricks.edge as f32,
             per_edge: 1.0 / trace.bricks.edge as f32,
-            empty: march::distances(&trace.bricks, trace.majorant).iter().map(|d| *d as u8).collect(),
+            empty: bricks_ahead(&trace.bricks, trace.majorant),
             clips: trace.clips,
             surface: trace.surface,
         }
@@ -302,12 +310,14 @@ impl<'a> Medium<'a> {
         range: Range<f32>,
         first: f32,
         numbers: &mut Numbers,
-        mut event: impl FnMut(&mut Numbers, Vec3, f32, f32) -> bool,
+        trail: &mut Trail,
+        mut event: impl FnMut(&mut Numbers, &mut Trail, Vec3, f32, f32) -> bool,
     ) {
         let Some(mut walk) = Walk::new(self, origin, direction, range) else { return };
         let mut depth = -(1.0 - first).ln();
         loop {
             let b = ((walk.brick.z * self.bricks.y + walk.brick.y) * self.bricks.x + walk.brick.x) as usize;
+            trail.touch(b);
             let majorant = self.majorant[b];
             if majorant > 0.0 {
                 let exit = walk.exit();
@@ -318,7 +328,7 @@ impl<'a> Medium<'a> {
                         break;
                     }
                     walk.t += ahead;
-                    if !event(numbers, walk.start + walk.t * walk.slope, walk.t, majorant) {
+                    if !event(numbers, trail, walk.start + walk.t * walk.slope, walk.t, majorant) {
                         return;
                     }
                     depth = -(1.0 - numbers.draw()).ln();
@@ -337,7 +347,7 @@ impl<'a> Medium<'a> {
     }
 
     /// Delta tracking along a part of a ray. `weight` is multiplied by what the path is worth after it, `glow` takes what glows on the
-    /// way; `exceeded` counts majorants that are too low.
+    /// way.
     #[inline]
     pub fn collide(
         &self,
@@ -347,16 +357,16 @@ impl<'a> Medium<'a> {
         numbers: &mut Numbers,
         weight: &mut Vec3,
         glow: &mut Vec3,
-        exceeded: &mut u64,
+        trail: &mut Trail,
     ) -> Option<Collision> {
         let mut found = None;
-        self.fly(ray, range, first, numbers, |numbers, position, t, majorant| {
+        self.fly(ray, range, first, numbers, trail, |numbers, trail, position, t, majorant| {
             let Some(entry) = self.look(position) else { return true };
             let sigma = self.sigma(entry);
             if self.glows {
                 *glow += *weight * self.colour(self.emission, entry) / majorant;
             }
-            *exceeded += u64::from(sigma > majorant * 1.0001);
+            trail.exceeded += u64::from(sigma > majorant * 1.0001);
             let xi = numbers.draw();
             if self.gray {
                 if xi * majorant < sigma {
@@ -385,14 +395,14 @@ impl<'a> Medium<'a> {
         ray: (Vec3, Vec3),
         range: Range<f32>,
         numbers: &mut Numbers,
-        exceeded: &mut u64,
+        trail: &mut Trail,
     ) -> Vec3 {
         let mut left = Vec3::ONE;
         let first = numbers.draw();
-        self.fly(ray, range, first, numbers, |numbers, position, _, majorant| {
+        self.fly(ray, range, first, numbers, trail, |numbers, trail, position, _, majorant| {
             let Some(entry) = self.look(position) else { return true };
             let sigma = self.sigma(entry);
-            *exceeded += u64::from(sigma > majorant * 1.0001);
+            trail.exceeded += u64::from(sigma > majorant * 1.0001);
             left *= (1.0 - sigma / majorant * self.chromatic).max(Vec3::ZERO);
             let most = left.max_element();
             if most < Self::FAINT {

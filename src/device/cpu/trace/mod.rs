@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::camera::{Camera, Lens};
 use crate::device::emitter::{Emitter, Hit, Shape};
-use crate::device::{Sampling, Surface, Tally, Trace, Traced};
+use crate::device::{March, Sampling, Surface, Tally, Trace, Traced};
 use crate::geometry;
 use medium::{Collision, Medium};
 use numbers::Numbers;
@@ -18,6 +18,8 @@ mod medium;
 pub mod numbers;
 pub mod scatter;
 mod shapes;
+
+pub(crate) use medium::bricks_ahead;
 
 /// Adds samples to the sums of a picture's pixels on the threads of the current rayon pool.
 pub(crate) fn trace(
@@ -32,8 +34,63 @@ pub(crate) fn trace(
     }
     let kernel = Kernel::new(trace, Medium::new(trace, field, gradient), picture);
     let rows = tallies.par_chunks_mut(picture[0]).enumerate();
-    let exceeded = rows.with_max_len(1).map(|(y, row)| kernel.row(y, row)).sum();
-    Traced { exceeded }
+    let row = |(y, row): (usize, &mut [Tally])| {
+        let mut trail = Trail { exceeded: 0, touched: &mut [] };
+        row.iter_mut().enumerate().for_each(|(x, tally)| kernel.pixel([x, y], tally, &mut trail));
+        trail.exceeded
+    };
+    Traced { exceeded: rows.with_max_len(1).map(row).sum() }
+}
+
+/// The same for some tiles; marks the bricks that each depends on in its part of `touched`.
+pub(crate) fn trace_tiles(
+    trace: &Trace,
+    (field, gradient): (&[f32], Option<&[f32]>),
+    tiles: &[u32],
+    picture: [usize; 2],
+    tallies: &mut [Tally],
+    touched: &mut [u64],
+) -> Traced {
+    let words = trace.bricks.len().div_ceil(64);
+    assert_eq!(touched.len(), tiles.len() * words, "a bit for each brick of each tile");
+    if trace.grid.is_empty() || tiles.is_empty() {
+        return Traced::default();
+    }
+    let kernel = Kernel::new(trace, Medium::new(trace, field, gradient), picture);
+    touched.fill(0);
+    let tile = |(tile, touched): (&u32, &mut [u64])| {
+        let mut trail = Trail { exceeded: 0, touched };
+        let mut sums = Vec::with_capacity(March::TILE * March::TILE);
+        for n in March::rows(*tile, picture).flatten() {
+            let mut tally = tallies[n];
+            kernel.pixel([n % picture[0], n / picture[0]], &mut tally, &mut trail);
+            sums.push(tally);
+        }
+        (sums, trail.exceeded)
+    };
+    let each = tiles.par_iter().zip(touched.par_chunks_mut(words)).with_max_len(1);
+    let done: Vec<(Vec<Tally>, u64)> = each.map(tile).collect();
+    for (tile, (sums, _)) in tiles.iter().zip(&done) {
+        March::rows(*tile, picture).flatten().zip(sums).for_each(|(n, sum)| tallies[n] = *sum);
+    }
+    Traced { exceeded: done.iter().map(|(_, exceeded)| exceeded).sum() }
+}
+
+/// What paths leave behind.
+struct Trail<'a> {
+    /// Collisions at which extinction was above the majorant.
+    exceeded: u64,
+    /// A bit for each brick that they depended on; nothing where nobody asks.
+    touched: &'a mut [u64],
+}
+
+impl Trail<'_> {
+    #[inline]
+    fn touch(&mut self, brick: usize) {
+        if let Some(word) = self.touched.get_mut(brick / 64) {
+            *word |= 1 << (brick % 64);
+        }
+    }
 }
 
 /// Scattering from which on paths end at random.
@@ -97,16 +154,12 @@ impl<'a> Kernel<'a> {
         }
     }
 
-    /// Adds the samples of a row; returns how often a majorant was too low.
-    fn row(&self, y: usize, row: &mut [Tally]) -> u64 {
-        let mut exceeded = 0;
-        for (x, tally) in row.iter_mut().enumerate() {
-            for sample in self.trace.samples.clone() {
-                let Found { radiance, first } = self.path([x, y], sample, &mut exceeded);
-                tally.add(radiance, first);
-            }
+    /// Adds the samples of a pixel.
+    fn pixel(&self, pixel: [usize; 2], tally: &mut Tally, trail: &mut Trail) {
+        for sample in self.trace.samples.clone() {
+            let Found { radiance, first } = self.path(pixel, sample, trail);
+            tally.add(radiance, first);
         }
-        exceeded
     }
 
     /// The ray of a sample from the camera.
@@ -128,7 +181,7 @@ impl<'a> Kernel<'a> {
     }
 
     #[inline]
-    fn path(&self, pixel: [usize; 2], sample: u32, exceeded: &mut u64) -> Found {
+    fn path(&self, pixel: [usize; 2], sample: u32, trail: &mut Trail) -> Found {
         let trace = self.trace;
         let number = (pixel[1] * self.picture[0] + pixel[0]) as u32;
         let mut numbers = Numbers::new(number, sample, trace.seed);
@@ -151,7 +204,7 @@ impl<'a> Kernel<'a> {
                 &mut numbers,
                 &mut weight,
                 &mut found,
-                exceeded,
+                trail,
             );
             let (here, lobe, first) = match end {
                 None => break,
@@ -181,8 +234,7 @@ impl<'a> Kernel<'a> {
 
             let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.draw(), numbers.draw()] };
             let third = numbers.draw();
-            found.radiance +=
-                weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], &mut numbers, exceeded);
+            found.radiance += weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], &mut numbers, trail);
 
             let xi = if bounce == 0 { numbers.pair(4) } else { [numbers.draw(), numbers.draw()] };
             let to = lobe.sample(way, [xi[0], xi[1], numbers.draw()]);
@@ -223,7 +275,7 @@ impl<'a> Kernel<'a> {
         numbers: &mut Numbers,
         weight: &mut Vec3,
         found: &mut Found,
-        exceeded: &mut u64,
+        trail: &mut Trail,
     ) -> Option<End> {
         let radiance = &mut found.radiance;
         let wall = self.wall(ray, f32::INFINITY);
@@ -234,7 +286,7 @@ impl<'a> Kernel<'a> {
             let next = self.next(ray, from, pdf.is_none()).filter(|(_, hit)| hit.distance < end);
             let Some((emitter, hit)) = next else { break };
             let until = from..hit.distance;
-            let collision = self.medium.collide(ray, until, flight, numbers, weight, radiance, exceeded);
+            let collision = self.medium.collide(ray, until, flight, numbers, weight, radiance, trail);
             if collision.is_some() {
                 return collision.map(End::Medium);
             }
@@ -242,7 +294,7 @@ impl<'a> Kernel<'a> {
             from = hit.distance;
             flight = numbers.draw();
         }
-        let collision = self.medium.collide(ray, from..end, flight, numbers, weight, radiance, exceeded);
+        let collision = self.medium.collide(ray, from..end, flight, numbers, weight, radiance, trail);
         let end = collision.map(End::Medium).or(wall.map(End::Mesh));
         if end.is_none() {
             for emitter in self.behind.iter().filter(|e| pdf.is_some() || e.visible) {
@@ -289,7 +341,7 @@ impl<'a> Kernel<'a> {
         choice: f32,
         xi: [f32; 3],
         numbers: &mut Numbers,
-        exceeded: &mut u64,
+        trail: &mut Trail,
     ) -> Vec3 {
         let Some(emitter) = choose(self.trace.emitters, choice) else { return Vec3::ZERO };
         let Some(sample) = emitter::sample(emitter, self.trace.images, here, xi) else { return Vec3::ZERO };
@@ -308,7 +360,7 @@ impl<'a> Kernel<'a> {
         if self.wall((here, sample.direction), sample.distance).is_some() {
             return Vec3::ZERO;
         }
-        worth * self.medium.transmittance((here, sample.direction), 0.0..sample.distance, numbers, exceeded)
+        worth * self.medium.transmittance((here, sample.direction), 0.0..sample.distance, numbers, trail)
     }
 
     /// Whether a collision is with a surface or with a cloud (Kroes et al. 2012, (1)–(3)).
