@@ -8,7 +8,7 @@ use gloaming::device::convection::{Convected, Convection, Layers};
 use gloaming::device::cpu::Cpu;
 use gloaming::device::slices::Slices;
 use gloaming::device::{
-    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, SourceTerm, Sweep, Tally, Trace, Traced, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, PointSweep, Ray, Rays, SourceTerm, Sweep, Tally, Trace, Traced, Transport,
 };
 use gloaming::field::{Dense, Timestep};
 use gloaming::frame::Frame;
@@ -154,8 +154,8 @@ impl Device for Faulty {
         self.check()?;
         self.inner.march(march, frame)
     }
-    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
-        self.inner.march_slab(march, part, picture, rays)
+    fn march_slab(&self, march: &March, part: &Part, rays: &mut Rays) -> Result<()> {
+        self.inner.march_slab(march, part, rays)
     }
     fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()> {
         self.inner.gradient(grid, field, out)

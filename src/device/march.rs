@@ -157,6 +157,24 @@ impl Ray {
     }
 }
 
+/// The rays of a picture on their way from slab to slab.
+pub struct Rays {
+    /// Pixels along x and y.
+    pub picture: [usize; 2],
+    /// A ray for each pixel, row by row.
+    pub each: Vec<Ray>,
+    /// What the CPU knows of them since the last slab.
+    pub(crate) known: super::cpu::march::Known,
+}
+
+impl Rays {
+    /// One ray for each pixel.
+    pub fn new(picture: [usize; 2], each: Vec<Ray>) -> Self {
+        assert_eq!(each.len(), picture[0] * picture[1], "a ray for each pixel");
+        Rays { picture, each, known: Default::default() }
+    }
+}
+
 /// A slab of what rays are cast through: `field` and the values of the terms hold only these planes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {

@@ -43,7 +43,7 @@ pub use clip::{Clip, ClipShape};
 pub(crate) use cpu::trace::bricks_ahead;
 pub(crate) use lamp::Falloff;
 pub use lamp::{Cone, Lamp};
-pub use march::{March, Part, Phong, Ray, Term, Weight};
+pub use march::{March, Part, Phong, Ray, Rays, Term, Weight};
 pub use open::open;
 pub use optic::Optic;
 pub use passage::Passage;
@@ -317,8 +317,8 @@ pub trait Device: Send + Sync {
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()>;
 
     /// Carries the rays of a picture through a slab: see [`Part`]. Rays that come by later than the slabs that they meet
-    /// first are as in [`Device::march`], to the bit.
-    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()>;
+    /// first are as in [`Device::march`], to the bit. `march` differs from slab to slab in the values that are held alone.
+    fn march_slab(&self, march: &March, part: &Part, rays: &mut Rays) -> Result<()>;
 
     /// Casts the rays of some tiles only ([`March::TILE`]); the other pixels of `frame` stay as they are. Each pixel is that
     /// of [`Device::march`] to the bit.
@@ -404,9 +404,9 @@ pub trait Device: Send + Sync {
     /// pixel is that of [`Device::march`] to the bit.
     fn march_before(&self, march: &March, behind: &[Behind], frame: &mut Frame) -> Result<()> {
         assert_eq!(behind.len(), frame.pixels.len(), "one for each pixel");
-        let mut rays: Vec<Ray> = behind.iter().map(Behind::ray).collect();
-        self.march_slab(march, &Part::whole(march), frame.size, &mut rays)?;
-        let pixels = behind.iter().zip(&rays).map(|(behind, ray)| behind.pixel(ray));
+        let mut rays = Rays::new(frame.size, behind.iter().map(Behind::ray).collect());
+        self.march_slab(march, &Part::whole(march), &mut rays)?;
+        let pixels = behind.iter().zip(&rays.each).map(|(behind, ray)| behind.pixel(ray));
         frame.pixels.iter_mut().zip(pixels).for_each(|(to, pixel)| *to = pixel);
         Ok(())
     }

@@ -7,8 +7,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Tally, Term, Trace,
-    Traced, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, Rays, SourceTerm, Storage, Sweep, Tally, Term,
+    Trace, Traced, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -287,8 +287,8 @@ impl Device for Cpu {
         Ok(())
     }
 
-    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
-        self.pool.install(|| march::march_slab(march, part, picture, rays));
+    fn march_slab(&self, march: &March, part: &Part, rays: &mut Rays) -> Result<()> {
+        self.pool.install(|| march::march_slab(march, part, rays));
         Ok(())
     }
 

@@ -10,8 +10,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, SourceTerm, Storage, Sweep, Tally, Term, Trace,
-    Traced, Transport,
+    Buffer, Device, Lamp, March, Optic, Part, Passage, PointSweep, Ray, Rays, SourceTerm, Storage, Sweep, Tally, Term,
+    Trace, Traced, Transport,
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -548,8 +548,8 @@ impl Device for Gpu {
         classify::classify(self, optic, table, &data, (field, Some(gradient)), &light, out)
     }
 
-    fn march_slab(&self, march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
-        march::march_slab(self, march, part, picture, rays)
+    fn march_slab(&self, march: &March, part: &Part, rays: &mut Rays) -> Result<()> {
+        march::march_slab(self, march, part, rays.picture, &mut rays.each)
     }
 
     fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {

@@ -8,23 +8,23 @@ use glam::DVec3;
 use super::store::Content;
 use super::stream::Feed;
 use super::{Paged, slabs, store};
-use crate::device::{March, Part, Ray, Term};
+use crate::device::{March, Part, Ray, Rays, Term};
 use crate::error::Result;
 use crate::frame::Frame;
 
 impl Paged {
     /// See [`Device::march`](crate::device::Device::march).
     pub(super) fn march_slabs(&self, march: &March, frame: &mut Frame) -> Result<()> {
-        let mut rays = vec![Ray::FRESH; frame.pixels.len()];
-        self.march_rays(march, frame.size, &mut rays)?;
-        frame.pixels.iter_mut().zip(&rays).for_each(|(p, r)| *p = r.pixel());
+        let mut rays = Rays::new(frame.size, vec![Ray::FRESH; frame.pixels.len()]);
+        self.march_rays(march, &mut rays)?;
+        frame.pixels.iter_mut().zip(&rays.each).for_each(|(p, r)| *p = r.pixel());
         Ok(())
     }
 
     /// Carries the rays of a picture through all slabs.
-    pub(super) fn march_rays(&self, march: &March, picture: [usize; 2], rays: &mut [Ray]) -> Result<()> {
+    pub(super) fn march_rays(&self, march: &March, rays: &mut Rays) -> Result<()> {
         let size = march.grid.size;
-        if march.grid.is_empty() || rays.is_empty() {
+        if march.grid.is_empty() || rays.each.is_empty() {
             return Ok(());
         }
         let (data, cells) = (store(march.field), (size[2] - 1).max(1));
@@ -35,7 +35,7 @@ impl Paged {
         let volumes = || std::iter::once((data, size)).chain(lit.clone().filter(|(s, _)| !is_near(s)));
         let each: f64 = volumes().map(|(s, size)| Feed::weight(s, size, cells)).sum();
         let shade = usize::from(march.phong.is_some());
-        let held_by_rays = size_of_val(rays) as f64 / 4.0;
+        let held_by_rays = size_of_val(&rays.each[..]) as f64 / 4.0;
         // Planes beyond the cells: one above, with shading one more on both sides, and of light two for rounding.
         let depth = self.depth(cells, each, (3.0 + 2.0 * shade as f64) * each + held_by_rays)?;
         let order = outward(slabs(cells, depth), eye(march));
@@ -81,7 +81,7 @@ impl Paged {
                 terms: feeds[1..].iter().map(|f| f.planes[n].clone()).collect(),
             };
             let march = March { field: volumes[0], terms: &terms, ..*march };
-            self.inner.march_slab(&march, &part, picture, rays)
+            self.inner.march_slab(&march, &part, rays)
         })
     }
 }

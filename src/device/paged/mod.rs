@@ -17,8 +17,8 @@ use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
 use crate::device::surface::{Beauty, Environment, Hit, Occlusion, Samples, Subsurface, Surfaces};
 use crate::device::{
-    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, RUN, Ray, SourceTerm, Storage, Sweep, Tally, Term,
-    Trace, Traced, Transport, cpu,
+    Behind, Buffer, Device, Lamp, March, Optic, Part, PointSweep, RUN, Ray, Rays, SourceTerm, Storage, Sweep, Tally,
+    Term, Trace, Traced, Transport, cpu,
 };
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -546,7 +546,7 @@ impl Device for Paged {
         self.march_slabs(march, frame)
     }
 
-    fn march_slab(&self, _: &March, _: &Part, _: [usize; 2], _: &mut [Ray]) -> Result<()> {
+    fn march_slab(&self, _: &March, _: &Part, _: &mut Rays) -> Result<()> {
         Err(Error::Unsupported("a slab of volumes that are cut into slabs already".into()))
     }
 
@@ -622,9 +622,9 @@ impl Device for Paged {
     }
 
     fn march_before(&self, march: &March, behind: &[Behind], frame: &mut Frame) -> Result<()> {
-        let mut rays: Vec<Ray> = behind.iter().map(Behind::ray).collect();
-        self.march_rays(march, frame.size, &mut rays)?;
-        let pixels = behind.iter().zip(&rays).map(|(behind, ray)| behind.pixel(ray));
+        let mut rays = Rays::new(frame.size, behind.iter().map(Behind::ray).collect());
+        self.march_rays(march, &mut rays)?;
+        let pixels = behind.iter().zip(&rays.each).map(|(behind, ray)| behind.pixel(ray));
         frame.pixels.iter_mut().zip(pixels).for_each(|(to, pixel)| *to = pixel);
         Ok(())
     }

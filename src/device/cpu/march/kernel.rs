@@ -15,8 +15,26 @@ pub(super) const TILE: usize = March::TILE;
 /// 157 at 1, 143 at 2, 133 at 4, 124 at 8, 124 at 12.
 const RUN: usize = 8;
 
-/// Rays of one tile, row by row.
-pub(super) type Tile = [Ray; TILE * TILE];
+/// Pixels along the edge of a block: a multiple of every packet.
+const BLOCK: usize = 4;
+/// Blocks of a tile.
+const BLOCKS: usize = (TILE / BLOCK) * (TILE / BLOCK);
+/// For each block the lowest and the highest cell along z in which its rays have their next samples; the highest below the lowest
+/// where all rays are done.
+pub(super) type Waiting = [[f32; 2]; BLOCKS];
+
+/// A tile.
+#[derive(Clone)]
+pub(super) struct Tile {
+    /// Row by row.
+    pub rays: [Ray; TILE * TILE],
+    pub waiting: Waiting,
+}
+
+impl Tile {
+    /// Rays that have not met anything and may be anywhere.
+    pub const FRESH: Tile = Tile { rays: [Ray::FRESH; TILE * TILE], waiting: [[0.0, f32::MAX]; BLOCKS] };
+}
 
 /// `[value with a = 0, with a = 1, with a = 2]`. Not a closure: one would be compiled without the caller's instruction set.
 macro_rules! three {
@@ -42,13 +60,31 @@ pub(in crate::device::cpu) use three;
 
 /// Carries the rays of the tile whose first pixel is `first` on.
 #[inline(always)]
-pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
+pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], tile: &mut Tile) {
     assert!(plan.matter.reach <= V::REACH, "indices must fit");
-    let [w, h] = V::SHAPE;
     let mut weights = vec![[V::splat(0.0); 3]; plan.terms];
-    let mut lanes = [[0.0; 16]; 7];
-    for y in (0..TILE).step_by(h) {
-        for x in (0..TILE).step_by(w) {
+    for (n, waiting) in tile.waiting.iter_mut().enumerate() {
+        if plan.meets(*waiting) {
+            let corner = [n % (TILE / BLOCK) * BLOCK, n / (TILE / BLOCK) * BLOCK];
+            *waiting = block(plan, first, corner, &mut weights, &mut tile.rays);
+        }
+    }
+}
+
+/// Carries the rays of a block on; returns where they wait.
+#[inline(always)]
+fn block<V: Lanes>(
+    plan: &Plan,
+    first: [usize; 2],
+    corner: [usize; 2],
+    weights: &mut [[V; 3]],
+    rays: &mut [Ray; TILE * TILE],
+) -> [f32; 2] {
+    let [w, h] = V::SHAPE;
+    let mut lanes = [[0.0; 16]; 9];
+    let mut waiting = [f32::MAX, -1.0];
+    for y in (corner[1]..corner[1] + BLOCK).step_by(h) {
+        for x in (corner[0]..corner[0] + BLOCK).step_by(w) {
             let at = [first[0] + x, first[1] + y];
             if at[0] >= plan.picture[0] || at[1] >= plan.picture[1] {
                 continue;
@@ -58,19 +94,23 @@ pub(super) fn tile<V: Lanes>(plan: &Plan, first: [usize; 2], rays: &mut Tile) {
                 radiance: three!(c => V::from_fn(|l| rays[ray(l)].radiance[c])),
                 through: three!(c => V::from_fn(|l| rays[ray(l)].transmittance[c])),
                 next: V::from_fn(|l| rays[ray(l)].next),
+                waiting: [V::splat(f32::MAX), V::splat(-1.0)],
             };
-            packet(plan, at, &mut weights, V::from_fn(|l| rays[ray(l)].end), &mut state);
+            packet(plan, at, weights, V::from_fn(|l| rays[ray(l)].end), &mut state);
             let [r, g, b] = state.radiance;
             let [t0, t1, t2] = state.through;
-            for (value, lanes) in [r, g, b, t0, t1, t2, state.next].into_iter().zip(&mut lanes) {
+            let [lowest, highest] = state.waiting;
+            for (value, lanes) in [r, g, b, t0, t1, t2, state.next, lowest, highest].into_iter().zip(&mut lanes) {
                 value.store(lanes);
             }
             for l in 0..w * h {
-                let [r, g, b, t0, t1, t2, next] = std::array::from_fn(|c| lanes[c][l]);
+                let [r, g, b, t0, t1, t2, next, lowest, highest] = std::array::from_fn(|c| lanes[c][l]);
                 rays[ray(l)] = Ray { radiance: [r, g, b], transmittance: [t0, t1, t2], next, ..rays[ray(l)] };
+                waiting = [waiting[0].min(lowest), waiting[1].max(highest)];
             }
         }
     }
+    waiting
 }
 
 #[inline(always)]
@@ -89,6 +129,8 @@ struct State<V> {
     /// Transmittance per channel.
     through: [V; 3],
     next: V,
+    /// The cell along z of the next sample, twice; the largest number and −1 where there is none.
+    waiting: [V; 2],
 }
 
 /// Rays of a packet in index space; `t` is world length from where they enter the box.
@@ -486,11 +528,25 @@ fn skip<V: Lanes>(plan: &Plan, rays: &Rays<V>, mut n: V, live: V::Mask) -> V {
     }
 }
 
+/// The cell along z that a sample lies in.
+#[inline(always)]
+fn layer<V: Lanes>(plan: &Plan, position: [V; 3]) -> V {
+    V::float(position[2].max(V::splat(0.0)).min(V::splat(plan.matter.last_cell[2])).trunc())
+}
+
 /// The samples whose cells lie in a window.
 #[inline(always)]
 fn within<V: Lanes>(plan: &Plan, [above, below]: [f32; 2], position: [V; 3]) -> V::Mask {
-    let cell = V::float(position[2].max(V::splat(0.0)).min(V::splat(plan.matter.last_cell[2])).trunc());
+    let cell = layer(plan, position);
     V::splat(above).lt(cell) & cell.lt(V::splat(below))
+}
+
+/// Where rays wait whose next samples are `n` and see something.
+#[inline(always)]
+fn waiting<V: Lanes>(plan: &Plan, rays: &Rays<V>, n: V, live: V::Mask) -> [V; 2] {
+    let (position, ds) = rays.sample(n);
+    let (live, cell) = (live & V::splat(0.0).lt(ds), layer(plan, position));
+    [V::select(live, cell, V::splat(f32::MAX)), V::select(live, cell, V::splat(-1.0))]
 }
 
 /// Where the medium is not cut away.
@@ -516,7 +572,7 @@ fn kept<V: Lanes>(clips: &[Clip], position: [V; 3]) -> V::Mask {
 #[inline(always)]
 fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V, state: &mut State<V>) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    let State { mut radiance, mut through, next: mut n } = *state;
+    let State { mut radiance, mut through, next: mut n, .. } = *state;
     // Of the channel that dims least, where channels differ; `through` is of each then.
     let mut transmittance = through[0].max(through[1]).max(through[2]);
     let rays = Rays::<V>::new(plan, at, end);
@@ -527,6 +583,7 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V,
         n = skip(plan, &rays, n, live);
         let (position, ds) = rays.sample(n);
         state.next = n;
+        state.waiting = waiting(plan, &rays, n, live);
         if !V::any(live & zero.lt(ds) & within(plan, window, position)) {
             return;
         }
@@ -612,5 +669,12 @@ fn packet<V: Lanes>(plan: &Plan, at: [usize; 2], weights: &mut [[V; 3]], end: V,
     if optics.chromatic.is_none() {
         through = [transmittance; 3];
     }
-    *state = State { radiance, through, next: V::select(left.lt(zero), n, left) };
+    let mut next = V::select(left.lt(zero), n, left);
+    if plan.window.is_some() {
+        // Up to a sample that sees something: only where such are need they be looked at again.
+        let live = zero.lt(rays.length) & V::splat(March::OPAQUE).lt(transmittance);
+        next = skip(plan, &rays, next, live);
+        state.waiting = waiting(plan, &rays, next, live);
+    }
+    *state = State { radiance, through, next, ..*state };
 }

@@ -9,13 +9,16 @@ pub(super) mod kernel;
 pub(super) mod lanes;
 pub(super) mod plan;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
-use self::kernel::{TILE, Tile, tile};
+use self::empty::Distances;
+use self::kernel::{TILE, Tile, Waiting, tile};
 use self::lanes::Array;
 use self::plan::Plan;
 use crate::device::cpu::simd::{self, Level};
-use crate::device::{March, Part, Ray};
+use crate::device::{March, Part, Ray, Rays};
 use crate::frame::Frame;
 use crate::grid::BrickLayout;
 
@@ -29,7 +32,7 @@ pub fn march(march: &March, frame: &mut Frame) {
 pub fn march_tiles(march: &March, list: &[u32], frame: &mut Frame) {
     let ([across, down], [width, height]) = (March::tiles(frame.size), frame.size);
     assert!(list.iter().all(|t| (*t as usize) < across * down), "a tile outside the picture");
-    let mut tiles = vec![[Ray::FRESH; TILE * TILE]; list.len()];
+    let mut tiles = vec![Tile::FRESH; list.len()];
     let corner = |tile: u32| [tile as usize % across * TILE, tile as usize / across * TILE];
     if let Some(plan) = Plan::new(march, None, frame.size) {
         let kernel = at_level(level(&plan));
@@ -38,25 +41,37 @@ pub fn march_tiles(march: &March, list: &[u32], frame: &mut Frame) {
     for (rays, tile) in tiles.iter().zip(list) {
         let [x, y] = corner(*tile);
         let cut = TILE.min(width - x);
-        for (row, rays) in (y..(y + TILE).min(height)).zip(rays.chunks(TILE)) {
+        for (row, rays) in (y..(y + TILE).min(height)).zip(rays.rays.chunks(TILE)) {
             let pixels = &mut frame.pixels[row * width + x..][..cut];
             pixels.iter_mut().zip(rays).for_each(|(pixel, ray)| *pixel = ray.pixel());
         }
     }
 }
 
-/// Carries rays through a slab. See [`Device::march_slab`](crate::device::Device::march_slab).
-pub fn march_slab(march: &March, part: &Part, picture: [usize; 2], rays: &mut [Ray]) {
-    assert_eq!(rays.len(), picture[0] * picture[1], "a ray for each pixel");
-    if let Some(plan) = Plan::new(march, Some(part), picture) {
-        tiles(&plan, rays, at_level(level(&plan)));
+/// What is known of rays between two slabs.
+#[derive(Default)]
+pub struct Known {
+    /// Empty space, once it was looked for.
+    empty: Option<Option<Arc<Distances>>>,
+    /// For each block of each tile, see [`Tile::waiting`].
+    waiting: Vec<Waiting>,
+}
+
+/// Carries rays through a slab: those blocks of pixels of which some ray waits there. See
+/// [`Device::march_slab`](crate::device::Device::march_slab).
+pub fn march_slab(march: &March, part: &Part, rays: &mut Rays) {
+    let Known { empty, waiting } = &mut rays.known;
+    let empty = empty.get_or_insert_with(|| Distances::new(&march.bricks, march.majorant).map(Arc::new));
+    if let Some(plan) = Plan::new(march, Some((part, empty.clone())), rays.picture) {
+        waiting.resize(March::tiles(rays.picture).into_iter().product(), Tile::FRESH.waiting);
+        tiles(&plan, &mut rays.each, waiting, at_level(level(&plan)));
     }
 }
 
 /// For each brick the distance in bricks to the nearest in which something is, see `Distances`; 0 everywhere where nothing can be
 /// skipped.
 pub(crate) fn distances(bricks: &BrickLayout, something: &[f32]) -> Vec<f32> {
-    empty::Distances::new(bricks, something).map_or_else(|| vec![0.0; bricks.len()], |d| d.values)
+    Distances::new(bricks, something).map_or_else(|| vec![0.0; bricks.len()], |d| d.values)
 }
 
 /// A volume that 32-bit indices cannot address is marched without gathers.
@@ -117,21 +132,25 @@ mod x86 {
 /// The pixels of rays cast from the eye to their end.
 fn cast(plan: &Plan, kernel: Kernel) -> Vec<[f32; 4]> {
     let mut rays = vec![Ray::FRESH; plan.picture[0] * plan.picture[1]];
-    tiles(plan, &mut rays, kernel);
+    let mut waiting = vec![Tile::FRESH.waiting; March::tiles(plan.picture).into_iter().product()];
+    tiles(plan, &mut rays, &mut waiting, kernel);
     rays.par_iter().with_min_len(1 << 12).map(Ray::pixel).collect()
 }
 
-/// Carries rays on, a band of tiles at a time.
-fn tiles(plan: &Plan, rays: &mut [Ray], kernel: Kernel) {
+/// Carries rays on, a band of tiles at a time; tiles of which no ray waits in the plan's window are left alone.
+fn tiles(plan: &Plan, rays: &mut [Ray], waiting: &mut [Waiting], kernel: Kernel) {
     let width = plan.picture[0];
-    rays.par_chunks_mut(TILE * width).enumerate().for_each(|(j, band)| {
-        let columns: Vec<usize> = (0..width).step_by(TILE).collect();
+    let bands = rays.par_chunks_mut(TILE * width).zip(waiting.par_chunks_mut(width.div_ceil(TILE)));
+    bands.enumerate().for_each(|(j, (band, waiting))| {
+        let meets = |column: &usize| waiting[*column].iter().any(|cells| plan.meets(*cells));
+        let columns: Vec<usize> = (0..waiting.len()).filter(meets).collect();
         let tiles: Vec<Tile> = columns
             .par_iter()
             .with_max_len(1)
-            .map(|&x| {
-                let mut tile = [Ray::FRESH; TILE * TILE];
-                for (row, tile) in band.chunks(width).zip(tile.chunks_mut(TILE)) {
+            .map(|&column| {
+                let x = column * TILE;
+                let mut tile = Tile { waiting: waiting[column], ..Tile::FRESH };
+                for (row, tile) in band.chunks(width).zip(tile.rays.chunks_mut(TILE)) {
                     let row = &row[x..width.min(x + TILE)];
                     tile[..row.len()].copy_from_slice(row);
                 }
@@ -139,8 +158,10 @@ fn tiles(plan: &Plan, rays: &mut [Ray], kernel: Kernel) {
                 tile
             })
             .collect();
-        for (&x, tile) in columns.iter().zip(&tiles) {
-            for (row, tile) in band.chunks_mut(width).zip(tile.chunks(TILE)) {
+        for (&column, tile) in columns.iter().zip(&tiles) {
+            let x = column * TILE;
+            waiting[column] = tile.waiting;
+            for (row, tile) in band.chunks_mut(width).zip(tile.rays.chunks(TILE)) {
                 let row = &mut row[x..width.min(x + TILE)];
                 row.copy_from_slice(&tile[..row.len()]);
             }

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
@@ -236,7 +237,7 @@ pub(in crate::device::cpu) struct Matter<'a> {
     /// Gradient magnitudes, where the table is two-dimensional.
     pub gradient: Option<Volume<'a>>,
     pub optics: Optics,
-    pub empty: Option<Distances>,
+    pub empty: Option<Arc<Distances>>,
     /// Index of the last cell of the whole grid along each axis.
     pub last_cell: [f32; 3],
     /// Mean spacing.
@@ -261,7 +262,7 @@ impl<'a> Matter<'a> {
             data: Volume::new(field, held),
             gradient: table.graded.is_some().then(|| Volume::new(gradient.expect("gradients of the data"), held)),
             optics: Optics::new(table),
-            empty: Distances::new(bricks, majorant),
+            empty: Distances::new(bricks, majorant).map(Arc::new),
             last_cell: grid.size.map(|n| n.saturating_sub(2) as f32),
             spacing: grid.mean_spacing() as f32,
             reach: doubled(grid.size),
@@ -295,8 +296,13 @@ pub(super) struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// `None` when there is nothing to see: no values, no pixels.
-    pub fn new(march: &'a March, part: Option<&Part>, picture: [usize; 2]) -> Option<Self> {
+    /// True where some of the cells from one to another along z are sampled.
+    pub fn meets(&self, [lowest, highest]: [f32; 2]) -> bool {
+        self.window.is_none_or(|[above, below]| above < highest && lowest < below)
+    }
+
+    /// `None` when there is nothing to see: no values, no pixels. Of a part, with the empty space of the whole.
+    pub fn new(march: &'a March, part: Option<(&Part, Option<Arc<Distances>>)>, picture: [usize; 2]) -> Option<Self> {
         let grid = march.grid;
         if grid.is_empty() || picture.contains(&0) {
             return None;
@@ -306,6 +312,7 @@ impl<'a> Plan<'a> {
         let camera = march.camera;
         let tan = camera.tan * Vec3::new(picture[0] as f32 / picture[1] as f32, 1.0, 0.0);
 
+        let (part, empty) = part.unzip();
         let data = slab(grid.size, part.map(|p| &p.field));
         let mut groups: Vec<Group> = Vec::new();
         let mut matter = Matter::new(
@@ -313,8 +320,9 @@ impl<'a> Plan<'a> {
             &data,
             (host(march.field), march.gradient.map(host)),
             march.table,
-            (&march.bricks, march.majorant),
+            (&march.bricks, if part.is_some() { &[] } else { march.majorant }),
         );
+        matter.empty = empty.unwrap_or(matter.empty);
         for (n, term) in march.terms.iter().enumerate() {
             let held = slab(term.grid.size, part.map(|p| &p.terms[n]));
             matter.reach = matter.reach.max(doubled(held.size));
