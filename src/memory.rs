@@ -166,7 +166,8 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     let shade = if scene.render.shading == Shading::Phong { 2 } else { 0 };
     let [w, h] = scene.render.size.map(|n| n as u64);
     let cells = (data[2] - 1).max(1);
-    let shown = scattering.as_ref().map_or(0, |s| s.channels * (1 + s.current)).min(volumes);
+    // Of the paper's model one volume for each colour.
+    let shown = scattering.as_ref().map_or(3, |s| s.channels * (1 + s.current)).min(volumes);
     let terms = per(light, cells) * lights + per(coarse, cells) * shown;
     let march = (4 + shade) * 2 * (per(data, cells) + terms) + 8 * w * h;
     let below = per(data, coarse[2]).max(per(light, coarse[2]));
@@ -186,7 +187,8 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
                 let source = 2 * (3 + given + current) + sums;
                 coarser.max(plane(coarse) * transport.max(source))
             }
-            None => coarser + values(coarse) * volumes,
+            // Solved in files that stand for memory.
+            None => coarser.max(8 * plane(coarse)),
         });
     }
     // Other small volumes stay in memory too, up to a quarter of it.

@@ -216,11 +216,70 @@ fn lights_in_a_place_are_the_same_to_the_bit() {
     assert_same_for_every_budget(&[&cone[..], &more, &["light.directions=8"]].concat(), ODD);
 }
 
-/// Light in the volume included; its own volumes stay in memory.
+/// Light in the volume included.
 #[test]
 fn the_papers_light_is_the_same_to_the_bit() {
     let point = ["lights.1.kind=point", "lights.1.position=[10.0, 9.0, 17.0]"];
     assert_same_for_every_budget(&[&["light.model=paper", LIGHT][..], &point].concat(), ODD);
+    for (convection, diffusion) in [("ordered", "multigrid"), ("volume", "gauss-seidel"), ("layers", "exact")] {
+        let keys = [format!("light.convection={convection}"), format!("light.diffusion={diffusion}")];
+        let sets = ["light.model=paper", LIGHT, &keys[0], &keys[1], "light.warm=false", "light.sigma_s=[3, 2, 1]"];
+        assert_same_for_every_budget(&sets, [21, 30, 27]);
+    }
+}
+
+/// Kernels that look anywhere in a volume have files for memory.
+#[test]
+fn every_renderer_is_the_same_to_the_bit() {
+    for more in [
+        &["render.kind=pathtrace", "render.samples=3"][..],
+        &["render.kind=slices"],
+        &["render.kind=isosurface", "isosurface.values=[0.4]", "isosurface.quality=preview"],
+        &[
+            "render.kind=isosurface",
+            "isosurface.values=[0.3, 0.6]",
+            "isosurface.quality=preview",
+            "isosurface.light=volume",
+        ],
+        &["transfer.preintegrated=true"],
+        &["transfer.regions=[{gradient = [0.2, 1], opacity = 0.5}]", "transfer.steepest=2"],
+        &["light.interpolation=cubic"],
+    ] {
+        assert_same_for_every_budget(&[&[LIGHT, "light.scattering=false"], more].concat(), ODD);
+    }
+}
+
+/// Files that stand for memory are given back before they are more of it than the budget allows.
+#[test]
+#[cfg(target_os = "linux")]
+fn paths_through_a_volume_of_many_budgets_keep_within_one() {
+    let (size, sets) = ([128; 3], ["render.kind=pathtrace", "render.samples=32", "transfer.extinction=0.1"]);
+    let scene = scene(&sets);
+    let budget = memory::smallest(&scene, &grid(size)).unwrap();
+    assert!(4 * grid(size).len() as u64 > 3 * budget, "{budget} bytes are not a small part of the volume");
+    let trace = |device: Arc<dyn Device>| {
+        let mut session = Session::new(device, scene.clone(), Some([0.0, 1.0]), false).unwrap();
+        let step = Timestep { step: 0, time: None, grid: grid(size), field: counted(size, 0.0) };
+        bits(&session.advance(step).unwrap())
+    };
+    let device = paged(cpu(), budget);
+    assert!(trace(device.clone()) == trace(cpu()));
+    assert!(device.released() > 0);
+}
+
+/// What does not fit on a GPU is looked at as a whole by the CPU.
+#[test]
+#[cfg(feature = "gpu")]
+fn the_cpu_looks_at_wholes_for_a_gpu() {
+    let name = std::env::var("GLOAMING_TEST_DEVICE").unwrap_or("llvmpipe".into());
+    let gpu = gloaming::device::open(&name, 0).expect("apt-get install mesa-vulkan-drivers libvulkan1");
+    let scene = scene(&["render.kind=pathtrace", "render.samples=3"]);
+    let trace = |device: Arc<dyn Device>| {
+        let mut session = Session::new(device, scene.clone(), Some([0.0, 1.0]), false).unwrap();
+        let step = Timestep { step: 0, time: None, grid: grid(ODD), field: counted(ODD, 0.0) };
+        bits(&session.advance(step).unwrap())
+    };
+    assert!(trace(paged(gpu, memory::smallest(&scene, &grid(ODD)).unwrap())) == trace(cpu()));
 }
 
 #[test]

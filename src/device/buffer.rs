@@ -5,6 +5,8 @@ pub struct Buffer(pub(crate) Storage);
 
 pub(crate) enum Storage {
     Host(Vec<f32>),
+    /// A file that the CPU looks at as memory.
+    Mapped(super::cpu::mapped::Mapped),
     Paged(Box<super::paged::Store>),
     #[cfg(feature = "gpu")]
     Gpu {
@@ -18,6 +20,7 @@ impl Buffer {
     pub fn len(&self) -> usize {
         match &self.0 {
             Storage::Host(v) => v.len(),
+            Storage::Mapped(m) => m.values().len(),
             Storage::Paged(store) => store.len,
             #[cfg(feature = "gpu")]
             Storage::Gpu { len, .. } => *len,
@@ -33,6 +36,7 @@ impl Buffer {
     pub fn host(&self) -> Option<&[f32]> {
         match &self.0 {
             Storage::Host(v) => Some(v),
+            Storage::Mapped(m) => Some(m.values()),
             _ => None,
         }
     }

@@ -27,6 +27,7 @@ pub mod float;
 mod fronts;
 pub(crate) mod gradient;
 mod irradiate;
+pub(crate) mod mapped;
 pub mod march;
 mod relax;
 pub(crate) mod sample;
@@ -73,6 +74,7 @@ fn host(buffer: &Buffer) -> &[f32] {
 fn host_mut(buffer: &mut Buffer) -> &mut [f32] {
     match &mut buffer.0 {
         Storage::Host(v) => v,
+        Storage::Mapped(m) => m.values_mut(),
         _ => panic!("a buffer of the CPU device"),
     }
 }

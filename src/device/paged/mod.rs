@@ -6,12 +6,12 @@
 //! same to the bit.
 //!
 //! Data stay where they are, and are read by slab as often as they are needed. Extinction is computed from them as they
-//! come by. Light that does not fit goes to a scratch file. The paper's model alone is solved in memory.
+//! come by. Light that does not fit goes to a scratch file. Kernels that look anywhere in a volume have files for memory.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::device::convection::{Convected, Convection, Layers};
 use crate::device::slices::Slices;
@@ -34,6 +34,7 @@ mod store;
 mod stream;
 mod sweep;
 mod values;
+mod whole;
 
 pub(crate) use store::Store;
 use store::{Content, Data, Held, Recipe};
@@ -50,6 +51,12 @@ pub struct Paged {
     read: AtomicU64,
     /// Volumes that a pass of transport works in.
     spares: Mutex<Vec<Store>>,
+    /// True where the inner device works in the host's memory.
+    hosted: bool,
+    /// What looks at whole volumes that do not fit.
+    host: OnceLock<Arc<dyn Device>>,
+    /// How often files were as much of this process's memory as the budget allows.
+    released: AtomicU64,
 }
 
 /// Budget in bytes below which a device that fails is given up.
@@ -64,8 +71,12 @@ impl Paged {
 
     /// Has `inner` work within `budget` bytes; light that does not fit goes to a file without a name in `folder`.
     pub fn new(inner: Arc<dyn Device>, budget: u64, folder: &Path) -> Self {
+        let hosted = inner.alloc(1).is_ok_and(|buffer| buffer.host().is_some());
         Paged {
             inner,
+            hosted,
+            host: OnceLock::new(),
+            released: AtomicU64::new(0),
             budget,
             folder: folder.into(),
             resident: Arc::default(),
@@ -77,6 +88,11 @@ impl Paged {
     /// Bytes of data read so far.
     pub fn bytes_read(&self) -> u64 {
         self.read.load(Ordering::Relaxed)
+    }
+
+    /// How often files that stand for memory were given back because they were more of it than the budget allows.
+    pub fn released(&self) -> u64 {
+        self.released.load(Ordering::Relaxed)
     }
 
     /// How many planes of a volume of `total` a slab may have: `each` values for every plane, `more` for those that it
@@ -157,7 +173,7 @@ impl Paged {
         *self.spares.lock().unwrap_or_else(PoisonError::into_inner) = spares;
     }
 
-    /// A whole volume in the inner device's memory, for kernels that cannot do with slabs.
+    /// A whole volume in the inner device's memory.
     fn near<'a>(&self, buffer: &'a Buffer) -> Result<&'a Buffer> {
         let store = store(buffer);
         if let Content::Resident(inner, _) = &store.content {
@@ -174,6 +190,7 @@ impl Paged {
     fn near_mut<'a>(&self, buffer: &'a mut Buffer) -> Result<&'a mut Buffer> {
         let store = store_mut(buffer);
         store.largest.take();
+        store.copy.take();
         if !matches!(store.content, Content::Resident(..)) {
             let (inner, held) = match store.near.take() {
                 Some(kept) => kept,
@@ -193,6 +210,11 @@ impl Paged {
 
     /// Copies a volume into a buffer of the inner device, part by part.
     fn bring_all(&self, store: &Store, into: &mut Buffer) -> Result<()> {
+        self.parts(store, |at, len, values| self.inner.copy(values, 0, len, into, at))
+    }
+
+    /// Calls `each` with one part after another of a volume that is not zero: number of its first value, length, and values.
+    fn parts(&self, store: &Store, mut each: impl FnMut(usize, usize, &Buffer) -> Result<()>) -> Result<()> {
         if matches!(store.content, Content::Zero) {
             return Ok(());
         }
@@ -205,7 +227,7 @@ impl Paged {
         let plane = size[0] * size[1];
         let parts = slabs(size[2], self.depth(size[2], Feed::weight(store, size, size[2]), 4.0 * plane as f64)?);
         self.stream(&[Feed { store, size, planes: parts.clone() }], |n, volumes| {
-            self.inner.copy(volumes[0], 0, plane * parts[n].len(), into, plane * parts[n].start)
+            each(plane * parts[n].start, plane * parts[n].len(), volumes[0])
         })
     }
 
@@ -292,7 +314,10 @@ impl Device for Paged {
             Content::Resident(buffer, _) => self.inner.download(buffer, out)?,
             Content::Scratch(scratch) => scratch.read(0, out)?,
             Content::Data(data) => drop(data.read(&Slab::whole(data.size), out, &self.read)?),
-            Content::Optic(_) => self.inner.download(self.near(from)?, out)?,
+            Content::Optic(_) => self.parts(store(from), |at, len, values| {
+                out[at..at + len].copy_from_slice(self.on_host(values, 0, len, &mut vec![])?);
+                Ok(())
+            })?,
         }
         Ok(())
     }
@@ -313,7 +338,7 @@ impl Device for Paged {
     }
 
     fn copy(&self, from: &Buffer, start: usize, len: usize, into: &mut Buffer, at: usize) -> Result<()> {
-        self.inner.copy(self.near(from)?, start, len, self.near_mut(into)?, at)
+        self.whole(&[from], &mut [into], 0, |device, from, into| device.copy(from[0], start, len, into[0], at))
     }
 
     fn classify_slab(
@@ -374,7 +399,7 @@ impl Device for Paged {
     fn brick_range(&self, layout: &BrickLayout, field: &Buffer) -> Result<Vec<[f32; 2]>> {
         match &store(field).content {
             Content::Data(data) => Ok(self.look_through(data, layout)?.1),
-            _ => self.inner.brick_range(layout, self.near(field)?),
+            _ => self.whole(&[field], &mut [], 0, |device, from, _| device.brick_range(layout, from[0])),
         }
     }
 
@@ -438,11 +463,15 @@ impl Device for Paged {
         before: &Buffer,
         rho: &mut Buffer,
     ) -> Result<Convected> {
-        self.inner.convect_layers(convection, layers, self.near(sigma)?, self.near(before)?, self.near_mut(rho)?)
+        self.whole(&[sigma, before], &mut [rho], 0, |device, from, into| {
+            device.convect_layers(convection, layers, from[0], from[1], into[0])
+        })
     }
 
     fn convect_whole(&self, convection: &Convection, sigma: &Buffer, before: &Buffer, rho: &mut Buffer) -> Result<f32> {
-        self.inner.convect_whole(convection, self.near(sigma)?, self.near(before)?, self.near_mut(rho)?)
+        self.whole(&[sigma, before], &mut [rho], 0, |device, from, into| {
+            device.convect_whole(convection, from[0], from[1], into[0])
+        })
     }
 
     fn convect_ordered(
@@ -453,11 +482,13 @@ impl Device for Paged {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
-        self.inner.convect_ordered(convection, layout, self.near(sigma)?, self.near_mut(rho)?, fronts)
+        self.whole(&[sigma], &mut [rho], 0, |device, from, into| {
+            device.convect_ordered(convection, layout, from[0], into[0], fronts)
+        })
     }
 
     fn diffuse(&self, size: [usize; 3], weights: [&[f32]; 3], values: &mut Buffer) -> Result<()> {
-        self.inner.diffuse(size, weights, self.near_mut(values)?)
+        self.whole(&[], &mut [values], 0, |device, _, into| device.diffuse(size, weights, into[0]))
     }
 
     fn relax(
@@ -468,7 +499,9 @@ impl Device for Paged {
         values: &mut Buffer,
         colour: usize,
     ) -> Result<()> {
-        self.inner.relax(size, coupling, self.near(rhs)?, self.near_mut(values)?, colour)
+        self.whole(&[rhs], &mut [values], 0, |device, from, into| {
+            device.relax(size, coupling, from[0], into[0], colour)
+        })
     }
 
     fn residual(
@@ -479,11 +512,13 @@ impl Device for Paged {
         values: &Buffer,
         out: &mut Buffer,
     ) -> Result<f32> {
-        self.inner.residual(size, coupling, self.near(rhs)?, self.near(values)?, self.near_mut(out)?)
+        self.whole(&[rhs, values], &mut [out], 0, |device, from, into| {
+            device.residual(size, coupling, from[0], from[1], into[0])
+        })
     }
 
     fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
-        self.inner.prolong(coarse, self.near(values)?, size, self.near_mut(into)?)
+        self.whole(&[values], &mut [into], 0, |device, from, into| device.prolong(coarse, from[0], size, into[0]))
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
@@ -537,48 +572,44 @@ impl Device for Paged {
     }
 
     fn march(&self, march: &March, frame: &mut Frame) -> Result<()> {
-        if march.table.preintegrated {
-            return Err(Error::Unsupported(
-                "transfer.preintegrated with volumes larger than memory\n  try: a larger --memory, or a smaller render.step"
-                    .into(),
-            ));
+        match reaches_beyond(march) {
+            true => self.march_whole(march, size_of_val(&frame.pixels[..]), |device, march| device.march(march, frame)),
+            false => self.march_slabs(march, frame),
         }
-        self.march_slabs(march, frame)
     }
 
     fn march_slab(&self, _: &March, _: &Part, _: &mut Rays) -> Result<()> {
         Err(Error::Unsupported("a slab of volumes that are cut into slabs already".into()))
     }
 
-    fn gradient(&self, _: &Grid, _: &Buffer, _: &mut Buffer) -> Result<()> {
-        Err(two_dimensional())
+    fn gradient(&self, grid: &Grid, field: &Buffer, out: &mut Buffer) -> Result<()> {
+        self.whole(&[field], &mut [out], 0, |device, from, into| device.gradient(grid, from[0], into[0]))
     }
 
     fn classify_graded(
         &self,
-        _: Optic,
-        _: &Table,
-        _: ([usize; 3], &Buffer, &Buffer),
-        _: [usize; 3],
-        _: &mut Buffer,
+        optic: Optic,
+        table: &Table,
+        (data, field, gradient): ([usize; 3], &Buffer, &Buffer),
+        size: [usize; 3],
+        out: &mut Buffer,
     ) -> Result<()> {
-        Err(two_dimensional())
+        self.whole(&[field, gradient], &mut [out], 0, |device, from, into| {
+            device.classify_graded(optic, table, (data, from[0], from[1]), size, into[0])
+        })
     }
 
-    /// Slices lie across all planes of the data: these must fit.
     fn slice(&self, slices: &Slices, rays: &mut [Ray]) -> Result<()> {
-        match self.near(slices.field) {
-            Ok(field) => self.inner.slice(&Slices { field, ..*slices }, rays),
-            Err(Error::OutOfMemory { needed, budget }) => Err(Error::Unsupported(format!(
-                "render.kind = \"slices\" of volumes larger than memory: {needed} bytes, --memory allows {budget}\n  \
-                 try: a larger --memory, or render.kind = \"raycast\""
-            ))),
-            Err(other) => Err(other),
-        }
+        let from: Vec<&Buffer> = [slices.field].into_iter().chain(slices.gradient).collect();
+        self.whole(&from, &mut [], size_of_val(rays), |device, from, _| {
+            device.slice(&Slices { field: from[0], gradient: from.get(1).copied(), ..*slices }, rays)
+        })
     }
 
     fn surface_hits(&self, surfaces: &Surfaces, hits: &mut [Hit]) -> Result<()> {
-        self.within(surfaces, |s| self.inner.surface_hits(s, hits))
+        self.whole(&[surfaces.field], &mut [], size_of_val(hits), |device, from, _| {
+            device.surface_hits(&Surfaces { field: from[0], ..*surfaces }, hits)
+        })
     }
 
     fn surface_occlusion(
@@ -589,7 +620,9 @@ impl Device for Paged {
         hits: &[Hit],
         sums: &mut [[f32; 4]],
     ) -> Result<()> {
-        self.within(surfaces, |s| self.inner.surface_occlusion(s, occlusion, samples, hits, sums))
+        self.whole(&[surfaces.field], &mut [], size_of_val(hits), |device, from, _| {
+            device.surface_occlusion(&Surfaces { field: from[0], ..*surfaces }, occlusion, samples, hits, sums)
+        })
     }
 
     fn surface_beauty(
@@ -599,8 +632,11 @@ impl Device for Paged {
         hits: &[Hit],
         sums: &mut [[[f32; 3]; 2]],
     ) -> Result<()> {
-        let environment = Environment { texels: self.near(beauty.environment.texels)?, ..beauty.environment };
-        self.within(surfaces, |s| self.inner.surface_beauty(s, &Beauty { environment, ..*beauty }, hits, sums))
+        self.whole(&[surfaces.field, beauty.environment.texels], &mut [], size_of_val(hits), |device, from, _| {
+            let environment = Environment { texels: from[1], ..beauty.environment };
+            let (surfaces, beauty) = (Surfaces { field: from[0], ..*surfaces }, Beauty { environment, ..*beauty });
+            device.surface_beauty(&surfaces, &beauty, hits, sums)
+        })
     }
 
     fn surface_subsurface(
@@ -610,18 +646,25 @@ impl Device for Paged {
         hits: &[Hit],
         sums: &mut [[f32; 3]],
     ) -> Result<()> {
-        let environment = Environment { texels: self.near(subsurface.environment.texels)?, ..subsurface.environment };
-        self.within(surfaces, |s| {
-            self.inner.surface_subsurface(s, &Subsurface { environment, ..*subsurface }, hits, sums)
+        self.whole(&[surfaces.field, subsurface.environment.texels], &mut [], size_of_val(hits), |device, from, _| {
+            let environment = Environment { texels: from[1], ..subsurface.environment };
+            let surfaces = Surfaces { field: from[0], ..*surfaces };
+            device.surface_subsurface(&surfaces, &Subsurface { environment, ..*subsurface }, hits, sums)
         })
     }
 
     fn surface_light(&self, surfaces: &Surfaces, term: &Term, hits: &[Hit], sums: &mut [[[f32; 3]; 2]]) -> Result<()> {
-        let term = Term { values: self.near(term.values)?, ..*term };
-        self.within(surfaces, |s| self.inner.surface_light(s, &term, hits, sums))
+        self.whole(&[surfaces.field, term.values], &mut [], size_of_val(hits), |device, from, _| {
+            let (surfaces, term) = (Surfaces { field: from[0], ..*surfaces }, Term { values: from[1], ..*term });
+            device.surface_light(&surfaces, &term, hits, sums)
+        })
     }
 
     fn march_before(&self, march: &March, behind: &[Behind], frame: &mut Frame) -> Result<()> {
+        if reaches_beyond(march) {
+            let beside = size_of_val(behind) + size_of_val(&frame.pixels[..]);
+            return self.march_whole(march, beside, |device, march| device.march_before(march, behind, frame));
+        }
         let mut rays = Rays::new(frame.size, behind.iter().map(Behind::ray).collect());
         self.march_rays(march, &mut rays)?;
         let pixels = behind.iter().zip(&rays.each).map(|(behind, ray)| behind.pixel(ray));
@@ -630,20 +673,32 @@ impl Device for Paged {
     }
 
     fn sample(&self, size: [usize; 3], values: &Buffer, points: &[[f32; 3]], out: &mut [f32]) -> Result<()> {
-        self.inner.sample(size, self.near(values)?, points, out)
+        self.whole(&[values], &mut [], size_of_val(points), |device, from, _| device.sample(size, from[0], points, out))
     }
 
     fn trace(&self, trace: &Trace, picture: [usize; 2], tallies: &mut [Tally]) -> Result<Traced> {
-        // Paths go anywhere: they want the whole volume.
-        let field = self.near(trace.field).map_err(|e| match e {
-            Error::OutOfMemory { needed, budget } => Error::Unsupported(format!(
-                "path tracing of a volume larger than --memory ({needed} bytes of {budget})\n  try: a larger --memory, \
-                 render.preview = 2, or render.kind = \"raycast\""
-            )),
-            e => e,
-        })?;
-        let gradient = trace.gradient.map(|gradient| self.near(gradient)).transpose()?;
-        self.inner.trace(&Trace { field, gradient, samples: trace.samples.clone(), ..*trace }, picture, tallies)
+        let from: Vec<&Buffer> = [trace.field].into_iter().chain(trace.gradient).collect();
+        self.whole(&from, &mut [], size_of_val(tallies), |device, from, _| {
+            let (gradient, samples) = (from.get(1).copied(), trace.samples.clone());
+            device.trace(&Trace { field: from[0], gradient, samples, ..*trace }, picture, tallies)
+        })
+    }
+
+    fn trace_tiles(
+        &self,
+        trace: &Trace,
+        tiles: &[u32],
+        picture: [usize; 2],
+        tallies: &mut [Tally],
+        touched: &mut [u64],
+    ) -> Result<Traced> {
+        let from: Vec<&Buffer> = [trace.field].into_iter().chain(trace.gradient).collect();
+        let beside = size_of_val(tallies) + size_of_val(touched);
+        self.whole(&from, &mut [], beside, |device, from, _| {
+            let (gradient, samples) = (from.get(1).copied(), trace.samples.clone());
+            let trace = Trace { field: from[0], gradient, samples, ..*trace };
+            device.trace_tiles(&trace, tiles, picture, tallies, touched)
+        })
     }
 
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
@@ -651,25 +706,12 @@ impl Device for Paged {
     }
 }
 
-/// Gradients reach beyond the slabs that are held.
-fn two_dimensional() -> Error {
-    let what = "transfer.regions and transfer.painting with volumes larger than memory";
-    Error::Unsupported(format!("{what}\n  try: a larger --memory, or transfer.opacity alone"))
+/// True where a sample looks farther than a slab's planes.
+fn reaches_beyond(march: &March) -> bool {
+    march.table.preintegrated || march.table.graded.is_some()
 }
 
 impl Paged {
-    /// The same surfaces in a field that is all in the inner device's memory: rays turn where they like.
-    fn within<T>(&self, s: &Surfaces, run: impl FnOnce(&Surfaces) -> Result<T>) -> Result<T> {
-        let near = |e| match e {
-            Error::OutOfMemory { needed, budget } => Error::Unsupported(format!(
-                "render.kind = \"isosurface\" of data that do not fit: {needed} bytes needed, {budget} allowed\n  try: --memory {}MiB",
-                needed.div_ceil(1 << 20)
-            )),
-            e => e,
-        };
-        run(&Surfaces { field: self.near(s.field).map_err(near)?, ..*s })
-    }
-
     /// Reads all data once: the number of holes and the range of each brick.
     fn look_through(&self, data: &Data, layout: &BrickLayout) -> Result<(u64, Vec<[f32; 2]>)> {
         let [nx, ny, nz] = data.size;

@@ -3,14 +3,21 @@
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
+use crate::device::cpu::mapped::Mapped;
+use crate::device::{Buffer, RUN};
 use crate::error::{Error, Result};
 
 /// Values in a file, as this machine has them in memory.
 pub(super) struct Scratch {
     folder: PathBuf,
     file: Mutex<File>,
+    len: usize,
+    /// The file as memory, once somebody has asked for that.
+    memory: OnceLock<Buffer>,
+    /// True when the disk has a place for every value.
+    reserved: bool,
 }
 
 impl Scratch {
@@ -18,7 +25,8 @@ impl Scratch {
     pub fn new(folder: &Path, len: usize) -> Result<Self> {
         let file = tempfile::tempfile_in(folder).map_err(|e| explained(folder, e))?;
         file.set_len(4 * len as u64).map_err(|e| explained(folder, e))?;
-        Ok(Scratch { folder: folder.into(), file: Mutex::new(file) })
+        let (folder, file) = (folder.into(), Mutex::new(file));
+        Ok(Scratch { folder, file, len, memory: OnceLock::new(), reserved: false })
     }
 
     /// Reads values from number `at` on.
@@ -35,6 +43,44 @@ impl Scratch {
             file.seek(SeekFrom::Start(4 * at as u64))?;
             file.write_all(bytemuck::cast_slice(values))
         })
+    }
+
+    /// The values as memory of the host.
+    pub fn memory(&self) -> Result<&Buffer> {
+        if let Some(memory) = self.memory.get() {
+            return Ok(memory);
+        }
+        let mapped = Mapped::new(&self.file.lock().unwrap_or_else(PoisonError::into_inner), self.len);
+        let mapped = mapped.map_err(|e| explained(&self.folder, e))?;
+        Ok(self.memory.get_or_init(|| mapped.buffer()))
+    }
+
+    /// The same to be written to.
+    pub fn memory_mut(&mut self) -> Result<&mut Buffer> {
+        self.reserve()?;
+        self.memory()?;
+        Ok(self.memory.get_mut().expect("just made"))
+    }
+
+    /// Gives every value its place: a disk that is full is an error here, and would be the end of the process where memory is
+    /// written to.
+    fn reserve(&mut self) -> Result<()> {
+        #[cfg(target_os = "linux")]
+        {
+            let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
+            let how = rustix::fs::FallocateFlags::empty();
+            self.reserved |= rustix::fs::fallocate(&*file, how, 0, 4 * self.len as u64).is_ok();
+        }
+        if !self.reserved {
+            let mut values = vec![0.0; RUN.min(self.len)];
+            for at in (0..self.len).step_by(RUN) {
+                let values = &mut values[..RUN.min(self.len - at)];
+                self.read(at, values)?;
+                self.write(at, values)?;
+            }
+            self.reserved = true;
+        }
+        Ok(())
     }
 
     fn with(&self, act: impl FnOnce(&mut File) -> std::io::Result<()>) -> Result<()> {
@@ -69,6 +115,24 @@ mod tests {
         assert_eq!(out, [0.0, 1.5, -2.0, 0.0]);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the file has no name");
         assert!(scratch.read(99, &mut out).is_err());
+    }
+
+    #[test]
+    fn memory_and_file_are_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut scratch = Scratch::new(folder.path(), 3000).unwrap();
+        scratch.write(2000, &[1.5, -2.0]).unwrap();
+        assert_eq!(scratch.memory().unwrap().host().unwrap()[1999..2003], [0.0, 1.5, -2.0, 0.0]);
+        scratch.write(2002, &[7.0]).unwrap();
+        assert_eq!(scratch.memory().unwrap().host().unwrap()[2002], 7.0);
+        let Buffer(crate::device::Storage::Mapped(mapped)) = scratch.memory_mut().unwrap() else { panic!("a map") };
+        mapped.values_mut()[2999] = 4.0;
+        mapped.pages().release();
+        assert_eq!(mapped.values()[2999], 4.0);
+        let mut out = [9.0; 2];
+        scratch.read(2998, &mut out).unwrap();
+        assert_eq!(out, [0.0, 4.0]);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the file has no name");
     }
 
     #[test]

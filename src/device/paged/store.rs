@@ -18,18 +18,21 @@ pub(crate) struct Store {
     pub(super) content: Content,
     /// A copy in the inner device's memory of what is not there, for kernels that need the whole.
     pub(super) near: OnceLock<(Buffer, Held)>,
+    /// A copy in a file of what is not in one that the host can look at, for the same.
+    pub(super) copy: OnceLock<Scratch>,
     /// The largest value, where it was asked for.
     pub(super) largest: OnceLock<f32>,
 }
 
 impl Store {
     pub(super) fn new(len: usize, content: Content) -> Self {
-        Store { len, content, near: OnceLock::new(), largest: OnceLock::new() }
+        Store { len, content, near: OnceLock::new(), copy: OnceLock::new(), largest: OnceLock::new() }
     }
 
     /// Forgets what is known of values that will not stay.
     pub(super) fn forget(&mut self) {
         self.near.take();
+        self.copy.take();
         self.largest.take();
     }
 }

@@ -4,7 +4,7 @@ use super::store::Content;
 use super::stream::Feed;
 use super::{Paged, slabs, store, store_mut};
 use crate::device::{Buffer, Sweep};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::grid::BrickLayout;
 
 impl Paged {
@@ -23,10 +23,10 @@ impl Paged {
             return self.inner.sweep(sweep, layout, sigma, self.near_mut(rho)?, fronts);
         }
         if sweep.cubic {
-            let remedy = "light.interpolation = \"bilinear\", or more --memory";
-            return Err(Error::Unsupported(format!(
-                "light.interpolation = \"cubic\" where a volume does not fit in memory\n  try: {remedy}"
-            )));
+            // A cubic foot reaches beyond the plane that slabs leave.
+            return self.whole(&[sigma], &mut [rho], 0, |device, from, into| {
+                device.sweep(sweep, layout, from[0], into[0], fronts)
+            });
         }
         // All bricks, also where only some are asked for: light comes through the others.
         self.sweep_all(layout, sigma, &mut [(*sweep, rho)])?;
