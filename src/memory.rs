@@ -160,7 +160,7 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     let per = |size: [u64; 3], planes: u64| values(size).div_ceil(planes.max(1));
     let plane = |size: [u64; 3]| size[0] * size[1];
     let extinction = 2 * per(data, light[2]) + plane(light);
-    let sweep = 2 * (extinction + plane(light)) + plane(light);
+    let sweep = 2 * (extinction + plane(light)) + plane(light) * lights.max(1);
     // A layer of bricks of the least edge, or one more where such would end at the light's plane, and two planes on both sides.
     let outward = (light[2].min(9) + 4) * (extinction + plane(light)) + 2 * plane(light);
     let shade = if scene.render.shading == Shading::Phong { 2 } else { 0 };

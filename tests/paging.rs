@@ -362,6 +362,22 @@ fn data_are_read_once_a_pass_and_a_slab_at_a_time() {
     assert!(field.largest.load(Ordering::Relaxed) < size[2] / 4);
 }
 
+/// Lights that cross planes the same way are swept in one pass.
+#[test]
+fn lights_share_a_reading() {
+    let passes = |direction: &str| {
+        let second = format!("lights.1.direction={direction}");
+        let (scene, size) = (scene(&[LIGHT, &second, "light.scattering=false"]), [24, 32, 200]);
+        let field = counted(size, 0.0);
+        let budget = 2 * memory::smallest(&scene, &grid(size)).unwrap();
+        let mut session = Session::new(paged(cpu(), budget), scene, Some([0.0, 1.0]), false).unwrap();
+        session.advance(Timestep { step: 0, time: None, grid: grid(size), field: field.clone() }).unwrap();
+        field.bytes.load(Ordering::Relaxed) as f64 / (4.0 * grid(size).len() as f64)
+    };
+    let (alike, opposite) = (passes("[0.9, 0.1, -0.2]"), passes("[0.9, 0.1, 0.2]"));
+    assert!((0.9..1.1).contains(&(opposite - alike)), "{alike} and {opposite} passes");
+}
+
 #[test]
 fn too_little_memory_names_what_is_enough() {
     for sets in [&[LIGHT, "light.scattering=false"][..], &[LIGHT, "light.resolution=0.25", "light.directions=8"]] {

@@ -441,6 +441,15 @@ pub trait Device: Send + Sync {
         Ok(vec![a.iter().zip(&b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()])
     }
 
+    /// [`Device::sweep`] of all bricks for several lights: where extinction has to be read, one reading may serve all.
+    fn sweep_each(&self, lights: &mut [(Sweep, &mut Buffer)], layout: &BrickLayout, sigma: &Buffer) -> Result<()> {
+        lights.iter_mut().try_for_each(|(sweep, rho)| {
+            let fronts = layout.fronts(sweep.ascending());
+            let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+            self.sweep(sweep, layout, sigma, rho, &fronts).map(drop)
+        })
+    }
+
     /// Sets all values.
     fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
         self.upload(&vec![value; into.len()], into)

@@ -208,16 +208,7 @@ impl Direct {
                 self.fronts.iter().map(|f| f.iter().copied().filter(wanted).collect()).collect();
             let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).filter(|f| !f.is_empty()).collect();
             self.rays.sweep(device, layout, sigma, &mut self.rho, &fronts)?;
-            for (b, brick) in self.bricks.iter_mut().enumerate() {
-                let swept = whole || self.needed[b];
-                // What was left out holds nothing that could be kept.
-                *brick = Brick { depth: if swept { 0.0 } else { f32::INFINITY }, ..Brick::default() };
-                self.touched[b] = swept;
-                report.voxels += if swept { layout.region(b).len() as u64 } else { 0 };
-            }
-            self.solved = true;
-            report.bricks_active = if whole { layout.len() } else { needed } as u64;
-            report.bricks_culled = layout.len() as u64 - report.bricks_active;
+            let report = self.swept(layout, whole);
             debug_assert!(!whole || report.voxels == grid.len() as u64);
             return Ok(report);
         };
@@ -276,6 +267,29 @@ impl Direct {
         let needed = self.bricks.iter().zip(&self.needed).filter(|(_, needed)| **needed);
         report.certified_error = needed.fold(0.0, |m, (b, _)| m.max(b.error));
         Ok(report)
+    }
+
+    /// The sweep of parallel rays and where their light is, for [`Device::sweep_each`].
+    pub(super) fn parallel(&mut self) -> Option<(Sweep, &mut Buffer)> {
+        let Rays::Parallel(sweep) = self.rays else { return None };
+        self.solved = false;
+        Some((sweep, &mut self.rho))
+    }
+
+    /// Takes note of a sweep of all bricks, or of those that are needed.
+    pub(super) fn swept(&mut self, layout: &BrickLayout, whole: bool) -> DirectReport {
+        let mut report = DirectReport { bricks_total: layout.len() as u64, ..Default::default() };
+        for (b, brick) in self.bricks.iter_mut().enumerate() {
+            let swept = whole || self.needed[b];
+            // What was left out holds nothing that could be kept.
+            *brick = Brick { depth: if swept { 0.0 } else { f32::INFINITY }, ..Brick::default() };
+            self.touched[b] = swept;
+            report.voxels += if swept { layout.region(b).len() as u64 } else { 0 };
+            report.bricks_active += u64::from(swept);
+        }
+        self.solved = true;
+        report.bricks_culled = report.bricks_total - report.bricks_active;
+        report
     }
 
     /// The rays that the kept solution is of.

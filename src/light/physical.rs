@@ -383,9 +383,17 @@ impl Physical {
         }
         let total: f32 = volume.direct.iter().map(|(s, _)| brightest(s.strength)).sum();
         let mut worst = 0.0f64;
+        let together = device.pages();
+        if together {
+            let mut lights: Vec<_> = volume.direct.iter_mut().filter_map(|(_, d)| d.parallel()).collect();
+            device.sweep_each(&mut lights, &self.layout, &self.sigma[0])?;
+        }
         for (source, direct) in &mut volume.direct {
             direct.demand(seen);
-            let done = direct.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?;
+            let done = match source.rays {
+                Rays::Parallel(_) if together => direct.swept(&self.layout, true),
+                _ => direct.solve(device, &self.grid, &self.layout, &self.sigma[0], change, tolerance)?,
+            };
             report.bricks_active += done.bricks_active;
             report.bricks_total += done.bricks_total;
             report.bricks_culled += done.bricks_culled;

@@ -429,6 +429,15 @@ impl Device for Paged {
         self.sweep_slabs(sweep, layout, sigma, rho, fronts)
     }
 
+    fn sweep_each(&self, lights: &mut [(Sweep, &mut Buffer)], layout: &BrickLayout, sigma: &Buffer) -> Result<()> {
+        for upward in [false, true] {
+            let way = lights.iter_mut().filter(|(sweep, _)| sweep.ascending()[2] == upward);
+            let mut way: Vec<_> = way.map(|(sweep, rho)| (*sweep, &mut **rho)).collect();
+            self.sweep_alike(&mut way, layout, sigma)?;
+        }
+        Ok(())
+    }
+
     fn sweep_point(
         &self,
         sweep: &PointSweep,

@@ -8,6 +8,12 @@ use crate::error::Result;
 use crate::grid::BrickLayout;
 
 impl Paged {
+    /// True where extinction is in memory, and its light may be too.
+    fn fits_beside(&self, sigma: &Buffer, rho: &Buffer) -> bool {
+        let near = |b: &Buffer| matches!(store(b).content, Content::Resident(..));
+        near(sigma) && (near(rho) || self.small(rho.len()))
+    }
+
     /// See [`Device::sweep`](crate::device::Device::sweep).
     pub(super) fn sweep_slabs(
         &self,
@@ -17,10 +23,10 @@ impl Paged {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
-        if let Content::Resident(sigma, _) = &store(sigma).content
-            && (matches!(store(rho).content, Content::Resident(..)) || self.small(rho.len()))
+        if let Content::Resident(near, _) = &store(sigma).content
+            && self.fits_beside(sigma, rho)
         {
-            return self.inner.sweep(sweep, layout, sigma, self.near_mut(rho)?, fronts);
+            return self.inner.sweep(sweep, layout, near, self.near_mut(rho)?, fronts);
         }
         if sweep.cubic {
             // A cubic foot reaches beyond the plane that slabs leave.
@@ -29,12 +35,25 @@ impl Paged {
             });
         }
         // All bricks, also where only some are asked for: light comes through the others.
-        self.sweep_all(layout, sigma, &mut [(*sweep, rho)])?;
+        self.sweep_alike(&mut [(*sweep, rho)], layout, sigma)?;
         Ok(vec![f32::INFINITY; fronts.iter().map(|f| f.len()).sum()])
     }
 
-    /// Sweeps for lights that cross planes the same way.
-    fn sweep_all(&self, layout: &BrickLayout, sigma: &Buffer, lights: &mut [(Sweep, &mut Buffer)]) -> Result<()> {
+    /// Sweeps for lights that cross planes the same way, in one reading of extinction where that has to be read.
+    pub(super) fn sweep_alike(
+        &self,
+        lights: &mut [(Sweep, &mut Buffer)],
+        layout: &BrickLayout,
+        sigma: &Buffer,
+    ) -> Result<()> {
+        let alone = |(sweep, rho): &(Sweep, &mut Buffer)| sweep.cubic || self.fits_beside(sigma, rho);
+        if lights.iter().any(alone) {
+            return lights.iter_mut().try_for_each(|(sweep, rho)| {
+                let fronts = layout.fronts(sweep.ascending());
+                let fronts: Vec<&[u32]> = fronts.iter().map(|f| &f[..]).collect();
+                self.sweep_slabs(sweep, layout, sigma, rho, &fronts).map(drop)
+            });
+        }
         let Some((first, _)) = lights.first() else { return Ok(()) };
         let ([nx, ny, nz], ascending) = (first.size, first.ascending()[2]);
         let plane = nx * ny;
