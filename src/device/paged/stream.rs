@@ -1,5 +1,5 @@
-//! One pass over volumes, slab after slab: a thread reads the next slab while one is worked on. Planes that two slabs share
-//! are read once.
+//! One pass over volumes, slab after slab: a thread reads the next slab, and hands it to a device with memory of its own, while
+//! one is worked on. Planes that two slabs share are read once.
 
 use std::ops::Range;
 
@@ -38,8 +38,15 @@ struct Reading<'a> {
     kept: (Range<usize>, Vec<f32>),
 }
 
-/// Values of one step, a volume each.
-type Step = Vec<Vec<f32>>;
+/// What was read of a volume for a step.
+struct Load {
+    values: Vec<f32>,
+    /// The same where the inner device works on it, unless that is the host's memory.
+    there: Option<Buffer>,
+}
+
+/// A load for each volume.
+type Step = Vec<Load>;
 
 impl<'a> Feed<'a> {
     fn reading(&self) -> Reading<'a> {
@@ -156,17 +163,19 @@ impl Paged {
         let (full_tx, full_rx) = bounded::<Result<Step>>(0);
         let (empty_tx, empty_rx) = bounded::<Step>(1);
         // The inner device has memory for one slab already: this is for the one that is read meanwhile.
-        let _ = empty_tx.send(rooms.iter().map(|&n| vec![0.0; n]).collect());
+        let there = |n: usize| (!self.hosted && n > 0).then(|| self.inner.alloc(n)).transpose();
+        let load = |&n: &usize| Ok(Load { values: vec![0.0; n], there: there(n)? });
+        let _ = empty_tx.send(rooms.iter().map(load).collect::<Result<Step>>()?);
         std::thread::scope(|scope| {
             // Dropped when this closure returns, which ends the thread's wait, whatever happened.
             let (full_rx, empty_tx) = (full_rx, empty_tx);
             scope.spawn(move || read_ahead(self, &mut readings, steps, &full_tx, &empty_rx));
             for step in 0..steps {
                 let gone = || Error::Closed("the thread that reads ahead died".into());
-                let values = full_rx.recv().map_err(|_| gone())??;
-                let mut emptied = Vec::with_capacity(values.len());
-                for ((feed, place), values) in feeds.iter().zip(&mut places).zip(values) {
-                    emptied.push(self.bring(feed, step, place, values)?);
+                let loads = full_rx.recv().map_err(|_| gone())??;
+                let mut emptied = Vec::with_capacity(loads.len());
+                for ((feed, place), load) in feeds.iter().zip(&mut places).zip(loads) {
+                    emptied.push(self.bring(feed, step, place, load)?);
                 }
                 let _ = empty_tx.send(emptied);
                 let volumes: Vec<&Buffer> = feeds.iter().zip(&places).map(|(f, p)| p.shown(f)).collect();
@@ -189,13 +198,15 @@ impl Paged {
     }
 
     /// Puts the planes of a step where the inner device works on them; returns memory for others.
-    fn bring(&self, feed: &Feed, step: usize, place: &mut Place, mut values: Vec<f32>) -> Result<Vec<f32>> {
+    fn bring(&self, feed: &Feed, step: usize, place: &mut Place, mut load: Load) -> Result<Load> {
         let planes = &feed.planes[step];
         if planes.is_empty() {
-            return Ok(values);
+            return Ok(load);
         }
-        if let Some(read) = &mut place.read {
-            values = self.inner.exchange(values, read)?;
+        match (&mut place.read, &mut load.there) {
+            (Some(read), Some(there)) => std::mem::swap(read, there),
+            (Some(read), None) => load.values = self.inner.exchange(load.values, read)?,
+            (None, _) => {}
         }
         match (&feed.store.content, place) {
             (Content::Resident(whole, _), Place { made: Some(made), .. }) => {
@@ -210,7 +221,7 @@ impl Paged {
             }
             _ => {}
         }
-        Ok(values)
+        Ok(load)
     }
 }
 
@@ -234,10 +245,16 @@ fn read_ahead(
     empty: &Receiver<Step>,
 ) {
     for n in 0..steps {
-        let Ok(mut values) = empty.recv() else { return };
-        let read = readings.par_iter_mut().zip(&mut values).try_for_each(|(r, out)| r.fill(n, out, paged));
+        let Ok(mut loads) = empty.recv() else { return };
+        let read = readings.par_iter_mut().zip(&mut loads).try_for_each(|(r, load)| {
+            r.fill(n, &mut load.values, paged)?;
+            match &mut load.there {
+                Some(there) if !r.planes[n].is_empty() => paged.inner.upload(&load.values, there),
+                _ => Ok(()),
+            }
+        });
         let failed = read.is_err();
-        if full.send(read.map(|()| values)).is_err() || failed {
+        if full.send(read.map(|()| loads)).is_err() || failed {
             return;
         }
     }
