@@ -247,7 +247,7 @@ pub fn fit(device: Arc<dyn Device>, scene: &Scene, grid: &Grid, budget: u64, fol
     if least > room || (whole <= least && whole > room) {
         return Err(Error::OutOfMemory { needed: with_decoded(least.min(whole)), budget });
     }
-    Ok(Arc::new(Paged::new(device, room, folder)))
+    Ok(Arc::new(Paged::new(device, room, folder).keeping(scene.light.scratch)))
 }
 
 #[cfg(test)]

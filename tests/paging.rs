@@ -9,7 +9,7 @@ use gloaming::device::cpu::Cpu;
 use gloaming::device::paged::Paged;
 use gloaming::field::{Dense, Field, Timestep};
 use gloaming::pipeline::{self, Job};
-use gloaming::scene::Scene;
+use gloaming::scene::{Scene, ScratchKey};
 use gloaming::session::Session;
 use gloaming::sink::{self, Output};
 use gloaming::source::{self, SourceSpec};
@@ -226,6 +226,21 @@ fn the_papers_light_is_the_same_to_the_bit() {
         let sets = ["light.model=paper", LIGHT, &keys[0], &keys[1], "light.warm=false", "light.sigma_s=[3, 2, 1]"];
         assert_same_for_every_budget(&sets, [21, 30, 27]);
     }
+}
+
+/// Each value of the light is rounded once, so that no pixel is off by more than that part of it.
+#[test]
+fn light_in_halves_is_off_by_one_rounding() {
+    let lights = ["lights.1.kind=point", "lights.1.position=[10.0, 9.0, 17.0]"];
+    let scene = scene(&[&[LIGHT, "light.scattering=false"], &lights[..]].concat());
+    let budget = memory::smallest(&scene, &grid(ODD)).unwrap();
+    let device = Paged::new(cpu(), budget, &std::env::temp_dir()).keeping(ScratchKey::F16);
+    let halves = light(Arc::new(device), &scene, ODD, 1).unwrap();
+    let whole = light(cpu(), &scene, ODD, 1).unwrap();
+    assert_ne!(bits(&halves[0]), bits(&whole[0]));
+    let [halves, whole] = [&halves[0], &whole[0]].map(|o| o.frames[0].frame.pixels.as_flattened());
+    let off = whole.iter().zip(halves).filter(|(a, b)| (**a - **b).abs() > 4.9e-4 * a.abs() + 1e-6).count();
+    assert_eq!(off, 0, "2⁻¹¹ of a value, and what f32 rounds");
 }
 
 /// Kernels that look anywhere in a volume have files for memory.

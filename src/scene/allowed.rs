@@ -86,6 +86,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("light.width", "a world length above 0"),
     ("light.tolerance", "0 (bitwise the cold result), or 1e-6 to 1: the light is held in 32-bit floats"),
     ("light.warm", "true or false"),
+    ("light.scratch", "\"f32\" or \"f16\""),
     ("cameras.name", "a name of its own for each camera, without / or \\"),
     ("cameras.azimuth", "degrees, finite"),
     ("cameras.elevation", "degrees from -90 to 90"),

@@ -358,6 +358,8 @@ pub struct SolverKeys {
     pub tolerance: f32,
     /// Start each solve from the previous step's light.
     pub warm: bool,
+    /// Numbers that direct light is kept in where it does not fit into memory.
+    pub scratch: ScratchKey,
 }
 
 impl Default for SolverKeys {
@@ -379,6 +381,7 @@ impl Default for SolverKeys {
             width: None,
             tolerance: 1e-3,
             warm: true,
+            scratch: ScratchKey::F32,
         }
     }
 }
@@ -419,6 +422,16 @@ pub enum Interpolation {
     Bilinear,
     /// Catmull–Rom clamped to the four nearest values: sharper shadows.
     Cubic,
+}
+
+/// `light.scratch`
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScratchKey {
+    /// As it is computed.
+    F32,
+    /// Half the room on the disk; off by at most 2⁻¹¹ of each value, or 2⁻²⁵ where there is next to no light.
+    F16,
 }
 
 /// `light.opacity_scale`

@@ -23,7 +23,7 @@ impl Paged {
         rho: &mut Buffer,
         fronts: &[&[u32]],
     ) -> Result<Vec<f32>> {
-        self.prepare(store_mut(rho))?;
+        self.prepare_in(store_mut(rho), self.precision)?;
         if let Some(near) = self.all_near(&[sigma]).filter(|_| matches!(store(rho).content, Content::Resident(..))) {
             return self.inner.sweep_point(sweep, layout, near[0], self.near_mut(rho)?, fronts);
         }

@@ -24,6 +24,7 @@ use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::Frame;
 use crate::grid::{BrickLayout, Grid, Slab};
+use crate::scene::ScratchKey;
 use crate::transfer::Table;
 
 mod lamp;
@@ -51,6 +52,8 @@ pub struct Paged {
     read: AtomicU64,
     /// Volumes that a pass of transport works in.
     spares: Mutex<Vec<Store>>,
+    /// Numbers that direct light is kept in on the disk.
+    precision: ScratchKey,
     /// True where the inner device works in the host's memory.
     hosted: bool,
     /// What looks at whole volumes that do not fit.
@@ -82,7 +85,13 @@ impl Paged {
             resident: Arc::default(),
             read: AtomicU64::new(0),
             spares: Mutex::default(),
+            precision: ScratchKey::F32,
         }
+    }
+
+    /// Keeps direct light that does not fit in these numbers; each value is rounded once.
+    pub fn keeping(self, precision: ScratchKey) -> Self {
+        Paged { precision, ..self }
     }
 
     /// Bytes of data read so far.
@@ -121,6 +130,11 @@ impl Paged {
 
     /// Finds a place for what will be written to a volume.
     fn prepare(&self, store: &mut Store) -> Result<()> {
+        self.prepare_in(store, ScratchKey::F32)
+    }
+
+    /// The same, in these numbers where it does not fit.
+    fn prepare_in(&self, store: &mut Store, precision: ScratchKey) -> Result<()> {
         store.forget();
         if matches!(store.content, Content::Resident(..) | Content::Scratch(_)) {
             return Ok(());
@@ -129,7 +143,7 @@ impl Paged {
             let (buffer, held) = self.hold(store.len)?;
             Content::Resident(buffer, held)
         } else {
-            Content::Scratch(scratch::Scratch::new(&self.folder, store.len)?)
+            Content::Scratch(scratch::Scratch::new(&self.folder, store.len, precision)?)
         };
         Ok(())
     }
@@ -291,7 +305,7 @@ impl Device for Paged {
             half if half >= LEAST => (self.inner.clone(), half),
             _ => (other, self.budget.max(LEAST)),
         };
-        Some(Arc::new(Paged::new(inner, budget, &self.folder)))
+        Some(Arc::new(Paged::new(inner, budget, &self.folder).keeping(self.precision)))
     }
 
     fn alloc(&self, len: usize) -> Result<Buffer> {

@@ -5,15 +5,19 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use half::slice::{HalfBitsSliceExt, HalfFloatSliceExt};
+
 use crate::device::cpu::mapped::Mapped;
 use crate::device::{Buffer, RUN};
 use crate::error::{Error, Result};
+use crate::scene::ScratchKey;
 
-/// Values in a file, as this machine has them in memory.
+/// Values in a file, as this machine has them in memory or half as long.
 pub(super) struct Scratch {
     folder: PathBuf,
     file: Mutex<File>,
     len: usize,
+    precision: ScratchKey,
     /// The file as memory, once somebody has asked for that.
     memory: OnceLock<Buffer>,
     /// True when the disk has a place for every value.
@@ -22,30 +26,57 @@ pub(super) struct Scratch {
 
 impl Scratch {
     /// Makes room in `folder`; what is not written reads as 0.
-    pub fn new(folder: &Path, len: usize) -> Result<Self> {
+    pub fn new(folder: &Path, len: usize, precision: ScratchKey) -> Result<Self> {
         let file = tempfile::tempfile_in(folder).map_err(|e| explained(folder, e))?;
-        file.set_len(4 * len as u64).map_err(|e| explained(folder, e))?;
+        file.set_len(precision.bytes() * len as u64).map_err(|e| explained(folder, e))?;
         let (folder, file) = (folder.into(), Mutex::new(file));
-        Ok(Scratch { folder, file, len, memory: OnceLock::new(), reserved: false })
+        Ok(Scratch { folder, file, len, precision, memory: OnceLock::new(), reserved: false })
     }
 
     /// Reads values from number `at` on.
     pub fn read(&self, at: usize, out: &mut [f32]) -> Result<()> {
         self.with(|file| {
-            file.seek(SeekFrom::Start(4 * at as u64))?;
-            file.read_exact(bytemuck::cast_slice_mut(out))
+            file.seek(SeekFrom::Start(self.precision.bytes() * at as u64))?;
+            match self.precision {
+                ScratchKey::F32 => file.read_exact(bytemuck::cast_slice_mut(out)),
+                ScratchKey::F16 => {
+                    let mut halves = vec![0u16; RUN.min(out.len())];
+                    for out in out.chunks_mut(RUN) {
+                        let halves = &mut halves[..out.len()];
+                        file.read_exact(bytemuck::cast_slice_mut(halves))?;
+                        halves.reinterpret_cast::<half::f16>().convert_to_f32_slice(out);
+                    }
+                    Ok(())
+                }
+            }
         })
     }
 
     /// Writes values from number `at` on.
     pub fn write(&self, at: usize, values: &[f32]) -> Result<()> {
         self.with(|file| {
-            file.seek(SeekFrom::Start(4 * at as u64))?;
-            file.write_all(bytemuck::cast_slice(values))
+            file.seek(SeekFrom::Start(self.precision.bytes() * at as u64))?;
+            match self.precision {
+                ScratchKey::F32 => file.write_all(bytemuck::cast_slice(values)),
+                ScratchKey::F16 => {
+                    let mut halves = vec![0u16; RUN.min(values.len())];
+                    for values in values.chunks(RUN) {
+                        let halves = &mut halves[..values.len()];
+                        halves.reinterpret_cast_mut::<half::f16>().convert_from_f32_slice(values);
+                        file.write_all(bytemuck::cast_slice(halves))?;
+                    }
+                    Ok(())
+                }
+            }
         })
     }
 
-    /// The values as memory of the host.
+    /// True where the file holds values as memory does.
+    pub fn plain(&self) -> bool {
+        self.precision == ScratchKey::F32
+    }
+
+    /// The values as memory of the host, where the file holds them so.
     pub fn memory(&self) -> Result<&Buffer> {
         if let Some(memory) = self.memory.get() {
             return Ok(memory);
@@ -89,6 +120,15 @@ impl Scratch {
     }
 }
 
+impl ScratchKey {
+    fn bytes(self) -> u64 {
+        match self {
+            ScratchKey::F32 => 4,
+            ScratchKey::F16 => 2,
+        }
+    }
+}
+
 /// An error of the scratch file, with what to do about it.
 fn explained(folder: &Path, e: std::io::Error) -> Error {
     let kind = e.kind();
@@ -108,7 +148,7 @@ mod tests {
     #[test]
     fn values_come_back_and_nothing_is_left_behind() {
         let folder = tempfile::tempdir().unwrap();
-        let scratch = Scratch::new(folder.path(), 100).unwrap();
+        let scratch = Scratch::new(folder.path(), 100, ScratchKey::F32).unwrap();
         scratch.write(40, &[1.5, -2.0]).unwrap();
         let mut out = [9.0; 4];
         scratch.read(39, &mut out).unwrap();
@@ -118,9 +158,26 @@ mod tests {
     }
 
     #[test]
+    fn halves_take_half_the_room_and_are_off_by_one_rounding() {
+        let folder = tempfile::tempdir().unwrap();
+        let len = 2 * RUN + 9;
+        let scratch = Scratch::new(folder.path(), len, ScratchKey::F16).unwrap();
+        let values: Vec<f32> = (0..len).map(|i| (-0.001 * i as f32).exp()).collect();
+        scratch.write(0, &values).unwrap();
+        let mut out = vec![0.0; len];
+        scratch.read(0, &mut out).unwrap();
+        let near = |a: f32, b: f32| (a - b).abs() <= a * 2f32.powi(-11) + 2f32.powi(-25);
+        assert!(values.iter().zip(&out).all(|(a, b)| near(*a, *b)) && values != out && !scratch.plain());
+        let mut part = [0.0; 3];
+        scratch.read(RUN - 1, &mut part).unwrap();
+        assert_eq!(part, out[RUN - 1..RUN + 2]);
+        assert_eq!(scratch.file.lock().unwrap().metadata().unwrap().len(), 2 * len as u64);
+    }
+
+    #[test]
     fn memory_and_file_are_the_same() {
         let folder = tempfile::tempdir().unwrap();
-        let mut scratch = Scratch::new(folder.path(), 3000).unwrap();
+        let mut scratch = Scratch::new(folder.path(), 3000, ScratchKey::F32).unwrap();
         scratch.write(2000, &[1.5, -2.0]).unwrap();
         assert_eq!(scratch.memory().unwrap().host().unwrap()[1999..2003], [0.0, 1.5, -2.0, 0.0]);
         scratch.write(2002, &[7.0]).unwrap();
@@ -140,7 +197,8 @@ mod tests {
         let full = std::io::Error::from(ErrorKind::StorageFull);
         let message = explained(Path::new("/somewhere"), full).to_string();
         assert!(message.contains("/somewhere") && message.contains("TMPDIR"), "{message}");
-        let message = Scratch::new(Path::new("/no/such/folder"), 1).err().expect("no folder").to_string();
+        let message =
+            Scratch::new(Path::new("/no/such/folder"), 1, ScratchKey::F32).err().expect("no folder").to_string();
         assert!(message.contains("/no/such/folder"), "{message}");
     }
 }

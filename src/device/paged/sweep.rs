@@ -58,7 +58,7 @@ impl Paged {
         let ([nx, ny, nz], ascending) = (first.size, first.ascending()[2]);
         let plane = nx * ny;
         for (_, rho) in &mut *lights {
-            self.prepare(store_mut(rho))?;
+            self.prepare_in(store_mut(rho), self.precision)?;
         }
         let sigma = store(sigma);
         let each = Feed::weight(sigma, [nx, ny, nz], nz) + plane as f64;

@@ -17,6 +17,7 @@ use crate::device::cpu::Cpu;
 use crate::device::cpu::mapped::Pages;
 use crate::device::{Buffer, Device, March, Storage, Term};
 use crate::error::Result;
+use crate::scene::ScratchKey;
 
 /// Time between two looks at what is in memory: too little for more than some tens of MiB to come by.
 const LOOK: Duration = Duration::from_millis(2);
@@ -93,7 +94,7 @@ impl Paged {
         let store = store(buffer);
         match &store.content {
             Content::Resident(inner, _) if inner.host().is_some() => return Ok(inner),
-            Content::Scratch(scratch) => return scratch.memory(),
+            Content::Scratch(scratch) if scratch.plain() => return scratch.memory(),
             _ => {}
         }
         if store.copy.get().is_none() {
@@ -115,7 +116,7 @@ impl Paged {
         }
         let elsewhere = match &store.content {
             Content::Resident(inner, _) => inner.host().is_none(),
-            Content::Scratch(_) => false,
+            Content::Scratch(scratch) => !scratch.plain(),
             _ => true,
         };
         if elsewhere {
@@ -130,7 +131,7 @@ impl Paged {
 
     /// Writes a volume to a file.
     fn spill(&self, store: &Store) -> Result<Scratch> {
-        let scratch = Scratch::new(&self.folder, store.len)?;
+        let scratch = Scratch::new(&self.folder, store.len, ScratchKey::F32)?;
         let mut room = vec![];
         match &store.content {
             Content::Resident(inner, _) => scratch.write(0, self.on_host(inner, 0, store.len, &mut room)?)?,
