@@ -1,7 +1,7 @@
 //! Volumes larger than memory against the same work in memory: wall time, peak resident memory, data read.
 //!
 //! `./x bench paging -- 256 512`: edges of the volumes; `--memory 512` sets the budget in MiB, `--raw` writes raw files
-//! instead of HDF5 in chunks of 64³, `--folder DIR` says where. Each run is a process of its own, so that its peak memory is its own.
+//! instead of HDF5 in chunks of 64³, `--folder DIR` says where, `--set KEY=VALUE` changes the scene. Each run is a process of its own, so that its peak memory is its own.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -55,6 +55,12 @@ fn generate(path: &Path, n: usize, raw: bool) {
     }
 }
 
+/// Keys that the command line sets.
+fn asked() -> Vec<String> {
+    let arguments: Vec<String> = std::env::args().collect();
+    arguments.windows(2).filter(|pair| pair[0] == "--set").map(|pair| pair[1].clone()).collect()
+}
+
 /// Lights and renders the volume; prints what it took.
 fn child(path: &str, n: usize, budget: u64, folder: &Path) {
     let raw = path.ends_with(".raw").then(|| format!("dims={n}x{n}x{n},dtype=f32le"));
@@ -65,7 +71,7 @@ fn child(path: &str, n: usize, budget: u64, folder: &Path) {
     let scattered = std::env::args().any(|a| a == "--scattered");
     sets.push(if scattered { "light.resolution=0.5" } else { "light.scattering=false" });
     let opacity = format!("transfer.extinction={}", 12.0 / n as f64);
-    let sets: Vec<String> = sets.into_iter().map(String::from).chain([opacity]).collect();
+    let sets: Vec<String> = sets.into_iter().map(String::from).chain([opacity]).chain(asked()).collect();
     let scene = Scene::load(None, &sets).expect("a scene");
     let cpu: Arc<dyn Device> = Arc::new(Cpu::new(0).expect("threads"));
     let paged = (budget > 0).then(|| Arc::new(Paged::new(cpu.clone(), budget, folder)));
@@ -96,7 +102,7 @@ struct Run {
 fn run(path: &Path, n: usize, budget: u64, folder: &Path, scattered: bool) -> Run {
     let mut command = Command::new(std::env::current_exe().expect("this program"));
     command.arg("--child").arg(path).args([n.to_string(), budget.to_string()]).arg(folder);
-    command.args(scattered.then_some("--scattered"));
+    command.args(scattered.then_some("--scattered")).args(asked().into_iter().flat_map(|set| ["--set".into(), set]));
     let output = command.output().expect("a child");
     let said = String::from_utf8_lossy(&output.stdout);
     let words: Vec<&str> = said.split_whitespace().collect();

@@ -377,6 +377,30 @@ fn data_are_read_once_a_pass_and_a_slab_at_a_time() {
     assert!(field.largest.load(Ordering::Relaxed) < size[2] / 4);
 }
 
+/// Rows in which no brick shows anything are read once, to find that out.
+#[test]
+fn empty_rows_are_not_read_again() {
+    let (scene, size) = (scene(&[LIGHT, "light.scattering=false"]), [24, 64, 96]);
+    let values: Vec<f32> = values(size, 0.0)
+        .into_iter()
+        .enumerate()
+        .map(|(i, v)| if (20..28).contains(&(i / 24 % 64)) { v } else { 0.0 })
+        .collect();
+    let field = |values: Vec<f32>| {
+        Arc::new(Counted { of: Dense::new(size, values), bytes: AtomicU64::new(0), largest: AtomicUsize::new(0) })
+    };
+    let lit = |device: Arc<dyn Device>, field: Arc<Counted>| {
+        let mut session = Session::new(device, scene.clone(), Some([0.0, 1.0]), false).unwrap();
+        bits(&session.advance(Timestep { step: 0, time: None, grid: grid(size), field }).unwrap())
+    };
+    let part = field(values.clone());
+    let budget = 2 * memory::smallest(&scene, &grid(size)).unwrap();
+    assert!(lit(paged(cpu(), budget), part.clone()) == lit(cpu(), field(values)));
+    let passes = part.bytes.load(Ordering::Relaxed) as f64 / (4.0 * grid(size).len() as f64);
+    // A quarter of the rows for the light, where bricks are of 8; two bricks more for rays.
+    assert!((1.5..1.9).contains(&passes), "{passes} passes");
+}
+
 /// Lights that cross planes the same way are swept in one pass.
 #[test]
 fn lights_share_a_reading() {

@@ -60,12 +60,12 @@ impl Paged {
             feeds.push(Feed { store: store(term.values), size: of, planes });
         }
         let seen = seen(march);
-        let rows: Vec<Range<usize>> = feeds
+        let rows: Vec<Vec<Range<usize>>> = feeds
             .iter()
             .map(|feed| {
                 let at = |y: usize| (y as f64 + 0.5) * feed.size[1] as f64 / size[1] as f64 - 0.5;
                 let end = (at(seen.end).ceil() as usize + 2).min(feed.size[1]);
-                (at(seen.start).floor() as usize).saturating_sub(1).min(end)..end
+                vec![(at(seen.start).floor() as usize).saturating_sub(1).min(end)..end; order.len()]
             })
             .collect();
         self.stream_rows(&feeds, &rows, |n, volumes| {

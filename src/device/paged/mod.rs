@@ -38,7 +38,7 @@ mod values;
 mod whole;
 
 pub(crate) use store::Store;
-use store::{Content, Data, Held, Recipe};
+use store::{Content, Data, Held, Index, Recipe};
 use stream::Feed;
 
 /// A device that holds no more than a budget of what it works on.
@@ -344,9 +344,10 @@ impl Device for Paged {
         _: &mut Vec<f32>,
         into: &mut Buffer,
     ) -> Result<(u64, Vec<[f32; 2]>)> {
-        let mut data = Data { field: field.clone(), size: grid.size, clean: false };
+        let mut data = Data { field: field.clone(), size: grid.size, clean: false, index: None };
         let taken = self.look_through(&data, bricks)?;
         data.clean = taken.0 == 0;
+        data.index = Some(Arc::new(Index { bricks: *bricks, ranges: taken.1.clone() }));
         *store_mut(into) = Store::new(grid.len(), Content::Data(data));
         Ok(taken)
     }
@@ -401,7 +402,11 @@ impl Device for Paged {
         let light = |n: usize| Slab { size, planes: slabs[n].clone() };
         let planes: Vec<_> = (0..slabs.len()).map(|n| light(n).under(data[2])).collect();
         let mut made = self.inner.alloc(plane * depth)?;
-        self.stream(&[Feed { store: of, size: data, planes: planes.clone() }], |n, volumes| {
+        let rows = match &of.content {
+            Content::Data(data) => data.shown(table, &planes),
+            _ => vec![0..data[1]; planes.len()],
+        };
+        self.stream_rows(&[Feed { store: of, size: data, planes: planes.clone() }], &[rows], |n, volumes| {
             let (light, data) = (light(n), Slab { size: data, planes: planes[n].clone() });
             optics.iter_mut().try_for_each(|(optic, out)| {
                 self.inner.classify_slab(*optic, table, &data, volumes[0], &light, &mut made)?;

@@ -9,7 +9,7 @@ use super::scratch::Scratch;
 use crate::device::{Buffer, Optic};
 use crate::error::Result;
 use crate::field::{self, Field};
-use crate::grid::Slab;
+use crate::grid::{BrickLayout, Slab};
 use crate::transfer::Table;
 
 /// A volume of `len` values.
@@ -54,6 +54,14 @@ pub(super) struct Data {
     pub size: [usize; 3],
     /// True where all has been looked through, and no hole was there.
     pub clean: bool,
+    /// What was found.
+    pub index: Option<Arc<Index>>,
+}
+
+/// The smallest and the largest value of each brick with a halo of one value.
+pub(super) struct Index {
+    pub bricks: BrickLayout,
+    pub ranges: Vec<[f32; 2]>,
 }
 
 /// A property of the medium, computed when it is read.
@@ -84,6 +92,27 @@ impl Drop for Held {
 }
 
 impl Data {
+    /// For each of some runs of planes the rows between which all lies that a table shows.
+    pub fn shown(&self, table: &Table, planes: &[Range<usize>]) -> Vec<Range<usize>> {
+        let Some(index) = &self.index else { return vec![0..self.size[1]; planes.len()] };
+        let ([across, along, _], edge) = (index.bricks.counts(), index.bricks.edge);
+        let majorant = table.majorants(&index.ranges);
+        let layers: Vec<Range<usize>> = majorant
+            .chunks_exact(across * along)
+            .map(|layer| {
+                let shows = |row: &[f32]| row.iter().any(|m| *m > 0.0);
+                let first = layer.chunks_exact(across).position(shows).unwrap_or(along);
+                let last = layer.chunks_exact(across).rposition(shows).map_or(first, |row| row + 1);
+                first * edge..(last * edge).min(self.size[1])
+            })
+            .collect();
+        let over = |planes: &Range<usize>| {
+            let layers = layers[planes.start / edge..planes.end.div_ceil(edge)].iter().filter(|rows| !rows.is_empty());
+            layers.cloned().reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0)
+        };
+        planes.iter().map(over).collect()
+    }
+
     /// Reads planes, holes marked; adds what was read to `bytes`, and returns the number of holes.
     pub fn read(&self, slab: &Slab, out: &mut [f32], bytes: &AtomicU64) -> Result<u64> {
         self.read_rows(slab, 0..slab.size[1], out, bytes)

@@ -10,6 +10,7 @@ use super::Paged;
 use super::store::{Content, Data, Store};
 use crate::device::Buffer;
 use crate::error::{Error, Result};
+use crate::field::EMPTY;
 use crate::grid::Slab;
 
 /// A volume as a pass reads it: which planes each step needs.
@@ -32,8 +33,8 @@ struct Reading<'a> {
     from: From<'a>,
     size: [usize; 3],
     planes: Vec<Range<usize>>,
-    /// The rows of each plane that are needed.
-    rows: Range<usize>,
+    /// The rows of each plane that are needed, for each step.
+    rows: Vec<Range<usize>>,
     /// Planes that the next slab needs too, and their values.
     kept: (Range<usize>, Vec<f32>),
 }
@@ -50,7 +51,7 @@ type Step = Vec<Load>;
 
 impl<'a> Feed<'a> {
     fn reading(&self) -> Reading<'a> {
-        let (from, size, planes) = match &self.store.content {
+        let (from, size, planes): (_, _, Vec<Range<usize>>) = match &self.store.content {
             Content::Zero | Content::Resident(..) => (From::Nowhere, self.size, self.planes.clone()),
             Content::Scratch(scratch) => (From::Scratch(scratch), self.size, self.planes.clone()),
             Content::Data(data) => (From::Data(data), data.size, self.planes.clone()),
@@ -61,7 +62,12 @@ impl<'a> Feed<'a> {
                 (From::Data(&recipe.data), recipe.data.size, self.planes.iter().map(under).collect())
             }
         };
-        Reading { from, size, planes, rows: 0..size[1], kept: (0..0, vec![]) }
+        let rows = match &self.store.content {
+            // What shows nothing has no extinction, nor scatters or glows.
+            Content::Optic(recipe) => recipe.data.shown(&recipe.table, &planes),
+            _ => vec![0..size[1]; planes.len()],
+        };
+        Reading { from, size, planes, rows, kept: (0..0, vec![]) }
     }
 
     /// Values of the inner device that the deepest slab of this volume takes, for each plane of another volume of `of` planes:
@@ -107,7 +113,7 @@ impl Reading<'_> {
         }
         for planes in missing.into_iter().filter(|p| !p.is_empty()) {
             let out = &mut out[(planes.start - wanted.start) * plane..(planes.end - wanted.start) * plane];
-            let (nx, rows) = (self.size[0], self.rows.clone());
+            let (nx, rows) = (self.size[0], self.rows[n].clone());
             match &self.from {
                 From::Nowhere => {}
                 From::Scratch(scratch) if plane == nx * rows.len() => scratch.read(planes.start * plane, out)?,
@@ -116,7 +122,16 @@ impl Reading<'_> {
                         scratch.read(p * plane + rows.start * nx, &mut out[rows.start * nx..rows.end * nx])?;
                     }
                 }
-                From::Data(data) => drop(data.read_rows(&Slab { size: self.size, planes }, rows, out, &paged.read)?),
+                From::Data(data) => {
+                    if !rows.is_empty() {
+                        data.read_rows(&Slab { size: self.size, planes }, rows.clone(), out, &paged.read)?;
+                    }
+                    // Reading leaves anything in the others.
+                    for plane in out.chunks_exact_mut(plane) {
+                        plane[..rows.start * nx].fill(EMPTY);
+                        plane[rows.end * nx..].fill(EMPTY);
+                    }
+                }
             }
         }
         // Also those that a step after the next needs, where the next needs none.
@@ -148,11 +163,12 @@ impl Paged {
         self.stream_rows(feeds, &[], each)
     }
 
-    /// The same with only some rows of each plane of the first volumes, which are no recipes; other rows hold anything.
+    /// The same with only some rows of each plane in each step of the first volumes, which are no recipes; other rows hold no data,
+    /// or anything in a volume of light.
     pub(super) fn stream_rows(
         &self,
         feeds: &[Feed],
-        rows: &[Range<usize>],
+        rows: &[Vec<Range<usize>>],
         mut each: impl FnMut(usize, &[&Buffer]) -> Result<()>,
     ) -> Result<()> {
         let steps = feeds.first().map_or(0, |f| f.planes.len());
