@@ -1,7 +1,8 @@
 //! Volumes larger than memory against the same work in memory: wall time, peak resident memory, data read.
 //!
 //! `./x bench paging -- 256 512`: edges of the volumes; `--memory 512` sets the budget in MiB, `--raw` writes raw files
-//! instead of HDF5 in chunks of 64³, `--folder DIR` says where, `--set KEY=VALUE` changes the scene. Each run is a process of its own, so that its peak memory is its own.
+//! instead of HDF5 in chunks of 64³, `--folder DIR` says where, `--set KEY=VALUE` changes the scene. Each run is a process of its
+//! own, so that its peak memory is its own.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

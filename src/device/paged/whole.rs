@@ -19,8 +19,12 @@ use crate::device::{Buffer, Device, March, Storage, Term};
 use crate::error::Result;
 use crate::scene::ScratchKey;
 
-/// Time between two looks at what is in memory: too little for more than some tens of MiB to come by.
-const LOOK: Duration = Duration::from_millis(2);
+/// Time between two looks at what is in memory.
+const LOOK: Duration = Duration::from_micros(500);
+
+/// Values that are written at once to what will be looked at. The system keeps a file in pieces as they were written, and brings a
+/// piece as a whole: of pieces of a MiB all of a volume is in memory sooner than anybody can look.
+const PIECE: usize = 1 << 12;
 
 impl Paged {
     /// Runs a kernel on whole volumes; `beside` bytes are held by those that ask for it.
@@ -133,9 +137,13 @@ impl Paged {
     fn spill(&self, store: &Store) -> Result<Scratch> {
         let scratch = Scratch::new(&self.folder, store.len, ScratchKey::F32)?;
         let mut room = vec![];
+        let mut write = |at: usize, len: usize, values: &Buffer| {
+            let pieces = self.on_host(values, 0, len, &mut room)?.chunks(PIECE).enumerate();
+            pieces.into_iter().try_for_each(|(n, piece)| scratch.write(at + n * PIECE, piece))
+        };
         match &store.content {
-            Content::Resident(inner, _) => scratch.write(0, self.on_host(inner, 0, store.len, &mut room)?)?,
-            _ => self.parts(store, |at, len, values| scratch.write(at, self.on_host(values, 0, len, &mut room)?))?,
+            Content::Resident(inner, _) => write(0, store.len, inner)?,
+            _ => self.parts(store, write)?,
         }
         Ok(scratch)
     }
@@ -154,7 +162,7 @@ impl Paged {
                 let mut going = true;
                 while going {
                     going = ended.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout);
-                    if files_in_memory().is_some_and(|now| now.saturating_sub(before) > room / 4 * 3) {
+                    if files_in_memory().is_some_and(|now| now.saturating_sub(before) > room / 2) {
                         release();
                         self.released.fetch_add(1, Ordering::Relaxed);
                     }
