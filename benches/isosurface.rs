@@ -71,6 +71,7 @@ fn measure(cpu: &Cpu, n: usize, picture: [usize; 2], runs: usize) -> gloaming::R
         bricks,
         empty: &empty,
         surfaces: &solids,
+        clips: &[],
         step: 0.5 * grid.mean_spacing() as f32,
         camera: &camera,
         picture,

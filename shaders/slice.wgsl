@@ -1,7 +1,7 @@
 // One pass of half-angle slicing, some slabs at a time (GPU Gems 39, section 39.5.1; src/device/slices.rs):
 // light  I_mid = I·e^(−k a σ d/2), I ← I·e^(−k a σ d)                            (8)
 // under  C ← C + T·c, T ← T·e^(−k σ d_v)  (6);  over  C ← c + C·e^(−k σ d_v)     (5)
-// field, gradient, table, sums, majorant, sources, fronts, layers, rays → fronts, layers (light); rays (eye)
+// field, gradient, table, sums, majorant, sources, meets, clips, fronts, layers, rays → fronts, layers (light); rays (eye)
 
 // Rays of a view in index space; distances along them in world length.
 struct Casting {
@@ -50,6 +50,7 @@ struct Params {
     inner: vec2<f32>,
     texel: vec2<f32>,
     texels: vec2<u32>,
+    clips: u32,
 }
 
 // Whether light comes through the light buffer, along parallel rays; whether the eye meets slabs in the same order.
@@ -61,6 +62,8 @@ override SHADE: bool = true;
 override GLOW: bool = true;
 override CHROMATIC: bool = true;
 override BLUR: bool = true;
+// Whether light meets something opaque.
+override OPAQUE: bool = true;
 // Channels of the light buffer; sources that arrive undimmed.
 override CHANNELS: u32 = 3u;
 override SOURCES: u32 = 0u;
@@ -108,6 +111,9 @@ struct Turn {
 // Rows of texels, each layer after the other.
 @group(0) @binding(8) var<storage, read_write> layers: array<f32>;
 @group(0) @binding(9) var<storage, read_write> rays: array<f32>;
+// Where the ray of each texel first and last meets something opaque.
+@group(0) @binding(10) var<storage, read> meets: array<vec2<f32>>;
+@group(0) @binding(11) var<storage, read> clips: array<Clip>;
 
 var<immediate> turn: Turn;
 
@@ -177,7 +183,7 @@ fn dims(l: Line, interval: vec2<f32>) -> f32 {
     if empty(x) { return 0.0; }
     let c = cell(params.size, params.held, x);
     let value = data_in(c);
-    if value < HOLE { return 0.0; }
+    if value < HOLE || !kept(x, params.clips) { return 0.0; }
     return sample(x, 0.5 * (interval.y - interval.x) * l.slope, c, value).extinction;
 }
 
@@ -218,6 +224,12 @@ fn blurred(p: vec2<u32>, l: Line, interval: vec2<f32>, channel: u32) -> f32 {
     return clamp(across.y + side.y * ((across.x - across.y) + (across.z - across.y)), 0.0, brightest);
 }
 
+// 0 where the ray of a texel meets something opaque between two distances, 1 elsewhere.
+fn passes(at: vec2<f32>, begin: f32, end: f32) -> f32 {
+    let stops = (vec2(begin) < at) & (at <= vec2(end));
+    return select(1.0, 0.0, any(stops));
+}
+
 @compute @workgroup_size(8, 8)
 fn light(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= params.texels) { return; }
@@ -231,9 +243,18 @@ fn light(@builtin(global_invocation_id) id: vec3<u32>) {
         let length = max(interval.y - interval.x, 0.0);
         let before = clamp(plane(l, f32(slab) + 0.5) - interval.x, 0.0, length);
         let sigma = dims(l, interval);
+        var ahead = 1.0;
+        var through = 1.0;
+        if OPAQUE {
+            let at = meets[id.y * params.texels.x + id.x];
+            // What light meets on its way to the first slab counts for that.
+            let begin = select(plane(l, f32(slab)), 0.0, slab == 0u);
+            ahead = passes(at, begin, plane(l, f32(slab) + 0.5));
+            through = passes(at, begin, plane(l, f32(slab + 1u)));
+        }
         for (var c = 0u; c < CHANNELS; c++) {
-            let behind = arriving[c] * exp(-sigma * params.factors[c] * length);
-            let middle = arriving[c] * exp(-sigma * params.factors[c] * before);
+            let behind = through * arriving[c] * exp(-sigma * params.factors[c] * length);
+            let middle = ahead * arriving[c] * exp(-sigma * params.factors[c] * before);
             layers[id.y * BATCH * row + (turn.layer + k) * row + c * params.texels.x + id.x] = max(middle, behind);
             arriving[c] = behind;
         }
@@ -279,9 +300,10 @@ fn weight_at(n: u32, x: vec3<f32>) -> vec3<f32> {
 fn eye(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.xy + turn.corner;
     if any(pixel >= turn.end) { return; }
-    let l = line(params.eye, (2.0 * vec2<f32>(pixel) + 1.0) / vec2<f32>(params.picture) - 1.0);
+    var l = line(params.eye, (2.0 * vec2<f32>(pixel) + 1.0) / vec2<f32>(params.picture) - 1.0);
     to_eye = -l.direction;
     let state = 8u * (pixel.y * params.picture.x + pixel.x);
+    l.far = min(l.far, rays[state + 7u]);
     var radiance = vec3(rays[state], rays[state + 1u], rays[state + 2u]);
     var through = vec3(rays[state + 3u], rays[state + 4u], rays[state + 5u]);
     for (var k = 0u; k < turn.count; k++) {
@@ -292,7 +314,7 @@ fn eye(@builtin(global_invocation_id) id: vec3<u32>) {
         if empty(x) { continue; }
         let c = cell(params.size, params.held, x);
         let value = data_in(c);
-        if value < HOLE { continue; }
+        if value < HOLE || !kept(x, params.clips) { continue; }
         let o = sample(x, 0.5 * ds * l.slope, c, value);
         let sigma = o.extinction;
         var sigmas = vec3(sigma);

@@ -45,6 +45,7 @@ struct Params {
     outer: f32,
     slope: f32,
     cosine: f32,
+    clips: u32,
 }
 
 struct Surface {
@@ -76,8 +77,9 @@ struct Hit {
 // Whether bricks are skipped; whether the published estimator is used.
 override SKIP: bool = true;
 override PAPER: bool = true;
-// Whether extinction attenuates.
+// Whether extinction attenuates; whether anything is cut away.
 override TRANSFER: bool = true;
+override CUT: bool = true;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> field: array<f32>;
@@ -85,6 +87,7 @@ override TRANSFER: bool = true;
 @group(0) @binding(2) var<storage, read> empty: array<f32>;
 @group(0) @binding(3) var<storage, read> surfaces: array<Surface>;
 @group(0) @binding(4) var<storage, read> extinction: array<f32>;
+@group(0) @binding(10) var<storage, read> clips: array<Clip>;
 
 const FRESH: u32 = 0xfffffffeu;
 const NONE: u32 = 0xffffffffu;
@@ -170,13 +173,21 @@ fn leap(path: Path, position: vec3<f32>, n: u32) -> u32 {
     return u32(max(t / params.step - 0.01 - f32(n) * 1e-6, 0.0));
 }
 
-fn density(value: f32) -> f32 {
+// False where a cut has taken away what was there.
+fn stays(position: vec3<f32>) -> bool {
+    return !CUT || kept(position, params.clips);
+}
+
+fn density(position: vec3<f32>, value: f32) -> f32 {
+    if !stays(position) { return 0.0; }
+    if !TRANSFER { return 1.0; }
     if value < HOLE { return 0.0; }
     let e = entry(value, params.lo, params.scale, params.entries);
     return mix(extinction[e.below], extinction[e.below + 1u], e.fraction);
 }
 
-// From the start of a path, which is on `sides`, to the first surface; `dims` asks for ∫ρ ds, ρ being extinction or 1.
+// From the start of a path, which is on `sides`, to the first surface; `dims` asks for ∫ρ ds, ρ being extinction or 1, and 0 where it
+// is cut away.
 fn follow(path: Path, sides: u32, dims: bool) -> Crossing {
     var before = sides;
     var begin = 0.0;
@@ -184,20 +195,43 @@ fn follow(path: Path, sides: u32, dims: bool) -> Crossing {
     var here = path.start;
     var thick = 0.0;
     var rho = 1.0;
-    if TRANSFER && dims { rho = density(value_at(here)); }
+    let differs = (TRANSFER || CUT) && dims;
+    if differs { rho = density(here, value_at(here)); }
     while begin < path.length {
         var last = n;
-        if SKIP && !(TRANSFER && dims) { last = leap(path, here, n); }
+        if SKIP && !differs { last = leap(path, here, n); }
         n = max(last, n + 1u);
         let end = min(f32(n) * params.step, path.length);
         here = path.start + end * path.slope;
         let value = value_at(here);
         let behind = sides_of(value);
-        if behind != before && behind != NOWHERE && before != NOWHERE {
+        if behind != before {
             var from_t = begin;
             var to_t = end;
+            var close = before;
             var far = behind;
-            var hole = false;
+            if CUT && (before == NOWHERE || behind == NOWHERE) {
+                // Far behind a cut are no data: what begins or ends there does so at the cut.
+                let first = stays(path.start + begin * path.slope);
+                if first != stays(path.start + end * path.slope) {
+                    var near_t = begin;
+                    var far_t = end;
+                    for (var i = 0u; i < BISECTIONS; i++) {
+                        let middle = 0.5 * (near_t + far_t);
+                        if stays(path.start + middle * path.slope) == first { near_t = middle; } else { far_t = middle; }
+                    }
+                    let cut = select(far_t, near_t, first);
+                    let there = sides_of(value_at(path.start + cut * path.slope));
+                    if first {
+                        to_t = cut;
+                        far = there;
+                    } else {
+                        from_t = cut;
+                        close = there;
+                    }
+                }
+            }
+            var hole = close == far || close == NOWHERE || far == NOWHERE;
             for (var i = 0u; i < BISECTIONS; i++) {
                 let middle = 0.5 * (from_t + to_t);
                 let s = sides_of(value_at(path.start + middle * path.slope));
@@ -205,25 +239,26 @@ fn follow(path: Path, sides: u32, dims: bool) -> Crossing {
                     hole = true;
                     break;
                 }
-                if s == before {
+                if s == close {
                     from_t = middle;
                 } else {
                     to_t = middle;
                     far = s;
                 }
             }
-            if !hole {
-                let crossed = before ^ far;
+            let met = path.start + to_t * path.slope;
+            if !hole && stays(met) {
+                let crossed = close ^ far;
                 let surface = select(firstLeadingBit(crossed), firstTrailingBit(crossed), (far & crossed) != 0u);
                 var dimmed = to_t;
-                if TRANSFER && dims {
-                    dimmed = thick + 0.5 * (rho + density(surfaces[surface].value)) * (to_t - begin);
+                if differs {
+                    dimmed = thick + 0.5 * (rho + density(met, surfaces[surface].value)) * (to_t - begin);
                 }
-                return Crossing(true, to_t, path.start + to_t * path.slope, surface, before, far, dimmed);
+                return Crossing(true, to_t, met, surface, close, far, dimmed);
             }
         }
-        if TRANSFER && dims {
-            let next = density(value);
+        if differs {
+            let next = density(here, value);
             thick += 0.5 * (rho + next) * (end - begin);
             rho = next;
         } else {

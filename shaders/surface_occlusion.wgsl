@@ -37,7 +37,8 @@ fn surface_occlusion(
         for (var k = 0u; k < params.steps; k++) {
             let position = start + (f32(k) + u.z) * step * slope;
             if any(position < vec3(-0.5)) || any(position > top) { break; }
-            let here = sides_of(value_at(position));
+            var here = NOWHERE;
+            if stays(position) { here = sides_of(value_at(position)); }
             if here != sides && here != NOWHERE && sides != NOWHERE {
                 for (var s = 0u; s < params.surfaces; s++) {
                     if (((here ^ sides) >> s) & 1u) == 1u { through *= 1.0 - surfaces[s].opacity; }

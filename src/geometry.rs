@@ -187,6 +187,17 @@ impl Geometry {
         })
     }
 
+    /// Where a ray first and last meets a surface, in units of `direction`'s length.
+    pub fn ends(&self, origin: DVec3, direction: DVec3) -> Option<[f64; 2]> {
+        let far = Cell::new(f64::INFINITY);
+        let along = Along { origin, inverse: direction.recip(), nearest: &far };
+        let met = self.triangles.locate_with_selection_function(along);
+        met.filter_map(|triangle| triangle.meets(origin, direction)).filter(|t| *t > 0.0).fold(None, |ends, t| {
+            let [first, last] = ends.unwrap_or([t; 2]);
+            Some([first.min(t), last.max(t)])
+        })
+    }
+
     /// For each voxel of a grid 1 where a mesh is, 0 elsewhere: inside of it, or where one of the lines through the centres of voxels
     /// along the axes meets its surface in the voxel. Inside is where two of the three lines through a voxel have met the surface an odd
     /// number of times, so that neither an open mesh nor a line through an edge fills what is outside.

@@ -57,6 +57,7 @@ impl World {
             bricks: self.bricks,
             empty,
             surfaces: &self.surfaces,
+            clips: &[],
             step: 0.5 * self.grid.mean_spacing() as f32,
             camera: &self.camera,
             picture: self.picture,

@@ -232,6 +232,7 @@ fn over_is_under() {
             beam: None,
             glows: true,
             phong: None,
+            clips: &[],
         };
         cpu.slice(&slices, &mut rays).unwrap();
         rays

@@ -12,11 +12,12 @@
 //! c = (1 − e^(−k σ d_v))·ω·(Σ unshadowed + weight·I_mid) + emission
 //! ```
 //!
-//! σ is the extinction of the sample, k the factor of a colour channel, a the factor of translucency.
+//! σ is the extinction of the sample, k the factor of a colour channel, a the factor of translucency. Something opaque ends rays of
+//! the eye where it is ([`Ray::end`](super::Ray)), and light in the texels whose rays meet it.
 
 use glam::{DMat3, DVec3, Vec3};
 
-use super::{Buffer, Phong, Weight};
+use super::{Buffer, Clip, Phong, Weight};
 use crate::camera::Camera;
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
@@ -54,6 +55,8 @@ pub struct Slices<'a> {
     pub glows: bool,
     /// Phong shading, if any.
     pub phong: Option<Phong>,
+    /// Where the medium is kept.
+    pub clips: &'a [Clip],
 }
 
 /// Planes at equal distances.
@@ -112,6 +115,11 @@ impl Projection {
             down: -tan * DVec3::from(camera.up),
             parallel: false,
         }
+    }
+
+    /// Where the ray of a point of the picture begins.
+    pub fn start(&self, q: [f64; 2]) -> DVec3 {
+        self.origin + if self.parallel { q[0] * self.right + q[1] * self.down } else { DVec3::ZERO }
     }
 
     /// Unit direction of the ray of a point of the picture.
@@ -175,6 +183,9 @@ pub struct Beam<'a> {
     pub inner: [f64; 2],
     /// The buffer before the first slice, row by row; 1 when absent.
     pub start: Option<&'a [[f32; 3]]>,
+    /// World length from where each texel's ray begins to where it first and last meets something opaque, infinite where it does not:
+    /// there no light is left. Empty where nothing is opaque.
+    pub opaque: &'a [[f32; 2]],
     /// Factor on the extinction of light per channel (translucency).
     pub attenuation: [f32; 3],
     /// Variance, along each axis across the light, by which a world length of its way blurs it: world length.
@@ -291,9 +302,7 @@ mod tests {
         };
         for view in [perspective, Projection { parallel: true, ..perspective }] {
             for q in [[0.0, 0.0], [-0.7, 0.4], [1.0, -1.0]] {
-                let start =
-                    view.origin + if view.parallel { q[0] * view.right + q[1] * view.down } else { DVec3::ZERO };
-                let found = view.project(start + 3.7 * view.way(q)).unwrap();
+                let found = view.project(view.start(q) + 3.7 * view.way(q)).unwrap();
                 assert!((0..2).all(|a| (found[a] - q[a]).abs() < 1e-12), "{found:?} {q:?}");
             }
         }

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
-use crate::device::Buffer;
+use crate::device::{Buffer, Clip};
 use crate::grid::{BrickLayout, Grid};
 use crate::transfer::Table;
 
@@ -54,7 +54,8 @@ impl Surface {
 ///
 /// Along a ray the value is looked at every `step`. Where it changes sides of a surface's value between two samples, 16 bisections
 /// find where; the ray is at the surface just behind it. Values below [`crate::field::HOLE`] are no data: nothing is met at their
-/// edge. Skipping bricks in which no surface is changes nothing, to the bit.
+/// edge. Of what is cut away nothing is met either, up to the cut, and it takes no light away. Skipping bricks in which no surface is
+/// changes nothing, to the bit.
 #[derive(Clone, Copy)]
 pub struct Surfaces<'a> {
     /// The data grid.
@@ -67,6 +68,8 @@ pub struct Surfaces<'a> {
     pub empty: &'a [f32],
     /// The surfaces, values ascending; at most [`Surfaces::MOST`].
     pub surfaces: &'a [Surface],
+    /// Where surfaces and what is between them are kept.
+    pub clips: &'a [Clip],
     /// World length between samples.
     pub step: f32,
     /// Who looks.

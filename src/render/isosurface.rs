@@ -1,21 +1,28 @@
 //! Isosurfaces in layers (Rezk-Salama 2007): a first-hit pass for each surface along the rays, then passes for beauty, ambient
 //! occlusion, light of the volume, and subsurface scattering at the hits; `layers` makes the picture of them.
 //!
-//! Each pixel sends `antialias`² rays, among which the samples of its lobes are divided, so that smooth edges cost little.
+//! Each pixel sends `antialias`² rays, among which the samples of its lobes are divided, so that smooth edges cost little. A ray ends at
+//! what is opaque, which is a surface like others in the layers.
 
+use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::DVec3;
 
 use crate::camera::Camera;
 use crate::device::surface::{
-    self, Attenuation, Beauty, Estimator, Hit, Occlusion, Samples, Subsurface, Surface, Surfaces,
+    self, Attenuation, Beauty, Environment, Estimator, Hit, Occlusion, Samples, Subsurface, Surface, Surfaces,
 };
-use crate::device::{Buffer, Device, Weight};
+use crate::device::{Buffer, Device, Term, Weight};
 use crate::error::{Error, Result};
 use crate::frame::{self, Frame};
+use crate::geometry::{self, Geometry};
 use crate::light::LightVolume;
 use crate::lights;
 use crate::medium::Medium;
 use crate::render::Renderer;
+use crate::render::surfaces::{self, lit};
 use crate::scene::{
     AttenuationKey, BeautyKey, Blend, EstimatorKey, IsosurfaceKeys, Model, OcclusionKey, Quality, Scene, SssKey,
     SurfaceLight, ValueUnits,
@@ -38,6 +45,8 @@ pub struct Isosurface {
     /// The map's colours from value 0 to 1, scene-linear.
     colors: Vec<[f32; 3]>,
     sky: Option<Sky>,
+    /// What is opaque.
+    opaque: Option<surfaces::Surfaces>,
     /// True when it was said that no value of a step reaches a surface.
     said: AtomicBool,
 }
@@ -64,12 +73,12 @@ const FIRST_SKY: [[f32; 3]; 3] = [[0.2, 0.17, 0.15], [0.55, 0.55, 0.55], [1.35, 
 const BAND: usize = 1 << 18;
 
 impl Isosurface {
-    /// Isosurfaces as `scene.isosurface` says.
+    /// Isosurfaces as `scene.isosurface` says, up to what is opaque.
     ///
     /// # Errors
     /// Those of [`lights::resolve`]; [`Error::Scene`] when surfaces are to be lit by an environment and there is none;
     /// [`Error::Unsupported`] for `isosurface.light = "both"` in the paper's model.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &Scene, geometry: Option<Arc<Geometry>>) -> Result<Self> {
         let keys = scene.isosurface.clone();
         let light = keys.light.unwrap_or(match scene.light.model {
             _ if scene.lights.is_empty() => SurfaceLight::Environment,
@@ -120,6 +129,7 @@ impl Isosurface {
             step: scene.render.step,
             colors: colors.map(linear).to_vec(),
             sky,
+            opaque: geometry.map(surfaces::Surfaces::new),
             said: AtomicBool::new(false),
             light,
             keys,
@@ -225,6 +235,7 @@ impl Renderer for Isosurface {
             bricks: medium.bricks,
             empty: &empty,
             surfaces: &solids,
+            clips: &medium.clips,
             step: self.step * medium.grid.mean_spacing() as f32,
             camera,
             picture,
@@ -236,20 +247,27 @@ impl Renderer for Isosurface {
         let rows = (BAND / picture[0].max(1)).max(1).next_multiple_of(antialias);
         for first in (0..picture[1]).step_by(rows) {
             let pixels = first * picture[0]..(first + rows).min(picture[1]) * picture[0];
+            let ends = Ends::new(self.opaque.as_ref(), camera, picture, &pixels);
             let mut rays: Vec<Hit> = pixels.map(|p| Hit::ray(p as u32)).collect();
-            for k in 0..self.keys.layers {
-                device.surface_hits(&surfaces, &mut rays)?;
-                rays.retain(|hit| hit.surface != Hit::NONE);
-                if rays.is_empty() {
+            // Behind the last transparent surface may be something opaque.
+            for k in 0..self.keys.layers + usize::from(self.opaque.is_some()) {
+                match k < self.keys.layers {
+                    true => device.surface_hits(&surfaces, &mut rays)?,
+                    false => rays.iter_mut().for_each(|hit| hit.surface = Hit::NONE),
+                }
+                let ended: Vec<_> = rays.iter().filter_map(|hit| Some((hit.pixel, ends.before(hit)?))).collect();
+                rays.retain(|hit| hit.surface != Hit::NONE && ends.before(hit).is_none());
+                if rays.is_empty() && ended.is_empty() {
                     break;
                 }
                 if sheets.len() == k {
                     sheets.push(vec![Sheet::default(); size[0] * size[1]]);
                 }
                 let found = passes.all(&rays, k as u32)?;
-                for (hit, sheet) in rays.iter().zip(&found) {
-                    let [x, y] =
-                        [hit.pixel as usize % picture[0], hit.pixel as usize / picture[0]].map(|c| c / antialias);
+                let opaque = passes.opaque(&ended, k as u32)?;
+                let met = rays.iter().map(|hit| hit.pixel).zip(&found);
+                for (pixel, sheet) in met.chain(ended.iter().map(|(pixel, _)| *pixel).zip(&opaque)) {
+                    let [x, y] = [pixel as usize % picture[0], pixel as usize / picture[0]].map(|c| c / antialias);
                     sheets[k][y * size[0] + x].add(sheet);
                 }
                 let mut shows = found.iter().map(|s| s.weight < 1.0 && s.sss[3] == 0.0);
@@ -272,6 +290,25 @@ impl Renderer for Isosurface {
     }
 }
 
+/// What is opaque along the rays of a band.
+struct Ends {
+    first: usize,
+    met: Vec<Option<geometry::Hit>>,
+}
+
+impl Ends {
+    fn new(of: Option<&surfaces::Surfaces>, camera: &Camera, picture: [usize; 2], pixels: &Range<usize>) -> Self {
+        let met = of.map_or(vec![], |of| of.meet(camera, picture, pixels.clone()));
+        Ends { first: pixels.start, met }
+    }
+
+    /// Something opaque in the way of a ray to where it is, or anywhere along one that has left.
+    fn before(&self, hit: &Hit) -> Option<geometry::Hit> {
+        let met = (*self.met.get(hit.pixel as usize - self.first)?)?;
+        (hit.surface == Hit::NONE || met.t <= f64::from(hit.depth)).then_some(met)
+    }
+}
+
 /// What the passes at a set of hits share.
 struct Passes<'a> {
     of: &'a Isosurface,
@@ -291,69 +328,133 @@ impl Passes<'_> {
         Samples { first: 0, end: count.div_ceil((self.antialias * self.antialias) as u32) }
     }
 
-    /// What is seen at each of the hits.
-    fn all(&self, hits: &[Hit], seed: u32) -> Result<Vec<Sheet>> {
-        let keys = &self.of.keys;
-        let solids = self.surfaces.surfaces;
-        let estimator = match keys.estimator {
+    fn estimator(&self) -> Estimator {
+        match self.of.keys.estimator {
             EstimatorKey::Normalised => Estimator::Normalised,
             EstimatorKey::Paper => Estimator::Paper,
+        }
+    }
+
+    fn environment(&self) -> Option<Environment<'_>> {
+        self.of.sky.as_ref().zip(self.texels).map(|(sky, texels)| sky.environment(texels))
+    }
+
+    /// The terms of the light volume that are wanted of it.
+    fn terms(&self) -> Vec<Term<'_>> {
+        // Scattered light holds the environment's, which `both` takes from all around.
+        let wanted = |term: &Term| {
+            self.of.light == SurfaceLight::Volume || self.wanted.volume && !matches!(term.weight, Weight::Uniform(_))
         };
-        let environment = self.of.sky.as_ref().zip(self.texels).map(|(sky, texels)| sky.environment(texels));
+        self.light.terms().into_iter().filter(wanted).collect()
+    }
+
+    /// The environment's light at each of the hits, if it is wanted: the part of its rays that escapes, and what perfect diffuse
+    /// and specular lobes return.
+    fn all_around(&self, hits: &[Hit], seed: u32) -> Result<Option<Vec<(f32, [[f32; 3]; 2])>>> {
+        let keys = &self.of.keys;
+        let Some(environment) = self.environment().filter(|_| self.wanted.environment) else { return Ok(None) };
+        let estimator = self.estimator();
+        let mut open = Vec::new();
+        let samples = self.share(self.counts.occlusion);
+        if keys.occlusion != OcclusionKey::None {
+            let voxels = keys.occlusion_radius * self.medium.grid.mean_spacing();
+            let occlusion = Occlusion { radius: voxels as f32, steps: self.counts.steps, estimator, seed };
+            open.resize(hits.len(), [0.0; 4]);
+            self.device.surface_occlusion(&self.surfaces, &occlusion, samples, hits, &mut open)?;
+        }
+        let beauty = Beauty {
+            environment,
+            diffuse: self.share(self.counts.diffuse),
+            specular: self.share(self.counts.specular),
+            bent: if keys.occlusion == OcclusionKey::Bent { &open } else { &[] },
+            estimator,
+            seed,
+        };
+        let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
+        self.device.surface_beauty(&self.surfaces, &beauty, hits, &mut sums)?;
+        let counts = match keys.beauty {
+            BeautyKey::Sampled => [beauty.diffuse.end as f32, beauty.specular.end as f32],
+            BeautyKey::Prefiltered => [1.0; 2],
+        };
+        let of = |(n, sum): (usize, &[[f32; 3]; 2])| {
+            let escapes = open.get(n).map_or(1.0, |sum| sum[3] / samples.end as f32);
+            (escapes, [0, 1].map(|lobe| sum[lobe].map(|s| s / counts[lobe])))
+        };
+        Ok(Some(sums.iter().enumerate().map(of).collect()))
+    }
+
+    /// What is seen of something opaque, by pixels: its light is the environment's and the light volume's, as surfaces take them.
+    fn opaque(&self, met: &[(u32, geometry::Hit)], seed: u32) -> Result<Vec<Sheet>> {
+        if met.is_empty() {
+            return Ok(vec![]);
+        }
+        let grid = &self.medium.grid;
+        let place = |at: DVec3| ((at - DVec3::from(grid.origin)) / DVec3::from(grid.spacing)).as_vec3();
+        // At no isosurface: the first stands for all, and the side is not known.
+        let hit = |(pixel, met): &(u32, geometry::Hit)| Hit {
+            position: place(met.position).into(),
+            normal: met.normal.as_vec3().into(),
+            depth: met.t as f32,
+            surface: 0,
+            before: u32::MAX,
+            behind: u32::MAX,
+            ..Hit::ray(*pixel)
+        };
+        let hits: Vec<Hit> = met.iter().map(hit).collect();
+        let around = self.all_around(&hits, seed)?;
+        let things: Vec<geometry::Hit> = met.iter().map(|(_, met)| *met).collect();
+        let volume = lit(self.device, grid, &self.terms(), &things)?;
+        let sheet = |n: usize| {
+            let colored = |light: [f32; 3]| std::array::from_fn(|c| things[n].color[c] * light[c].max(0.0));
+            let (occlusion, [diffuse, _]) = around.as_ref().map_or((1.0, [[0.0; 3]; 2]), |around| around[n]);
+            Sheet {
+                cover: 1.0,
+                weight: 1.0,
+                opacity: 1.0,
+                fresnel: 1.0,
+                depth: hits[n].depth,
+                normal: hits[n].normal,
+                diffuse: colored(diffuse),
+                occlusion,
+                volume_diffuse: colored(volume[n]),
+                ..Sheet::default()
+            }
+        };
+        Ok((0..hits.len()).map(sheet).collect())
+    }
+
+    /// What is seen at each of the hits.
+    fn all(&self, hits: &[Hit], seed: u32) -> Result<Vec<Sheet>> {
+        if hits.is_empty() {
+            return Ok(vec![]);
+        }
+        let keys = &self.of.keys;
+        let solids = self.surfaces.surfaces;
         let mut sheets: Vec<Sheet> = hits.iter().map(|hit| self.plain(hit)).collect();
         let [diffuse, specular] = [0, 1].map(|lobe| {
-            move |hit: &Hit, sum: [f32; 3], count: f32| -> [f32; 3] {
+            move |hit: &Hit, light: [f32; 3]| -> [f32; 3] {
                 let surface = &solids[hit.surface as usize];
                 let k = if lobe == 0 { surface.diffuse } else { [surface.specular; 3] };
-                std::array::from_fn(|c| k[c] * sum[c] / count)
+                std::array::from_fn(|c| k[c] * light[c])
             }
         });
-
-        if let Some(environment) = environment.filter(|_| self.wanted.environment) {
-            let mut open = Vec::new();
-            if keys.occlusion != OcclusionKey::None {
-                let voxels = keys.occlusion_radius * self.medium.grid.mean_spacing();
-                let occlusion = Occlusion { radius: voxels as f32, steps: self.counts.steps, estimator, seed };
-                let samples = self.share(self.counts.occlusion);
-                open.resize(hits.len(), [0.0; 4]);
-                self.device.surface_occlusion(&self.surfaces, &occlusion, samples, hits, &mut open)?;
-                for (sheet, sum) in sheets.iter_mut().zip(&open) {
-                    sheet.occlusion = sum[3] / samples.end as f32;
-                }
-            }
-            let beauty = Beauty {
-                environment,
-                diffuse: self.share(self.counts.diffuse),
-                specular: self.share(self.counts.specular),
-                bent: if keys.occlusion == OcclusionKey::Bent { &open } else { &[] },
-                estimator,
-                seed,
-            };
-            let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
-            self.device.surface_beauty(&self.surfaces, &beauty, hits, &mut sums)?;
-            let [of_diffuse, of_specular] = match keys.beauty {
-                BeautyKey::Sampled => [beauty.diffuse.end as f32, beauty.specular.end as f32],
-                BeautyKey::Prefiltered => [1.0; 2],
-            };
-            for ((sheet, hit), sum) in sheets.iter_mut().zip(hits).zip(&sums) {
-                sheet.diffuse = diffuse(hit, sum[0], of_diffuse);
-                sheet.specular = specular(hit, sum[1], of_specular);
-            }
+        let around = self.all_around(hits, seed)?;
+        for ((sheet, hit), (occlusion, lobes)) in sheets.iter_mut().zip(hits).zip(around.iter().flatten()) {
+            sheet.occlusion = *occlusion;
+            sheet.diffuse = diffuse(hit, lobes[0]);
+            sheet.specular = specular(hit, lobes[1]);
         }
         if self.wanted.volume {
             let mut sums = vec![[[0.0; 3]; 2]; hits.len()];
-            for term in self.light.terms() {
-                // Scattered light holds the environment's, which `both` takes from all around.
-                if self.of.light == SurfaceLight::Volume || !matches!(term.weight, Weight::Uniform(_)) {
-                    self.device.surface_light(&self.surfaces, &term, hits, &mut sums)?;
-                }
+            for term in self.terms() {
+                self.device.surface_light(&self.surfaces, &term, hits, &mut sums)?;
             }
             for ((sheet, hit), sum) in sheets.iter_mut().zip(hits).zip(&sums) {
-                sheet.volume_diffuse = diffuse(hit, sum[0], 1.0);
-                sheet.volume_specular = specular(hit, sum[1], 1.0);
+                sheet.volume_diffuse = diffuse(hit, sum[0]);
+                sheet.volume_specular = specular(hit, sum[1]);
             }
         }
-        if let Some(environment) = environment.filter(|_| self.wanted.sss) {
+        if let Some(environment) = self.environment().filter(|_| self.wanted.sss) {
             let primary = self.share(self.counts.primary);
             let subsurface = Subsurface {
                 environment,
@@ -362,7 +463,7 @@ impl Passes<'_> {
                 fast: keys.sss == SssKey::Fast,
                 refracts: keys.refraction,
                 attenuation: self.attenuation(),
-                estimator,
+                estimator: self.estimator(),
                 seed,
             };
             let mut sums = vec![[0.0; 3]; hits.len()];

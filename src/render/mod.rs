@@ -91,16 +91,10 @@ pub trait Renderer: Send {
 
 /// The renderer that a scene asks for, with what is opaque in it.
 pub fn renderer(scene: &Scene, geometry: Option<&Arc<Geometry>>) -> Result<Box<dyn Renderer>> {
-    let kind = scene.render.kind;
-    if geometry.is_some() && !matches!(kind, RenderKind::Raycast | RenderKind::Pathtrace) {
-        return Err(Error::Unsupported(format!(
-            "[[meshes]] with render.kind = {kind:?}\n  try: \"raycast\" or \"pathtrace\""
-        )));
-    }
-    match kind {
+    match scene.render.kind {
         RenderKind::Raycast => Ok(Box::new(Raycast::new(scene, geometry.cloned()))),
-        RenderKind::Slices => Ok(Box::new(HalfAngle::new(scene)?)),
-        RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene)?)),
+        RenderKind::Slices => Ok(Box::new(HalfAngle::new(scene, geometry.cloned())?)),
+        RenderKind::Isosurface => Ok(Box::new(Isosurface::new(scene, geometry.cloned())?)),
         RenderKind::Pathtrace => Ok(Box::new(Pathtrace::new(scene, geometry.cloned())?)),
     }
 }

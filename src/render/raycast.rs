@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::surfaces::Surfaces;
+use super::surfaces::{Surfaces, lit};
 use crate::camera::Camera;
 use crate::device::{Device, March, Phong};
 use crate::error::Result;
@@ -102,7 +102,7 @@ impl Raycast {
             step: self.keys.step * medium.grid.mean_spacing() as f32,
         };
         if let Some(surfaces) = &self.surfaces {
-            let behind = surfaces.seen(device, &medium.grid, &terms, camera, frame.size)?;
+            let behind = surfaces.seen(camera, frame.size, |met| lit(device, &medium.grid, &terms, met))?;
             return device.march_before(&march, &behind, frame);
         }
         match tiles {

@@ -11,17 +11,21 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec3};
 
 use crate::camera::Camera;
 use crate::device::slices::{Beam, Projection, Slices, Slicing, corners};
-use crate::device::{Device, Phong, Ray, Weight};
+use crate::device::{Behind, Device, Phong, Ray, Term, Weight};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
+use crate::geometry::Geometry;
 use crate::grid::Grid;
 use crate::light::{self, LightVolume};
 use crate::lights::{self, Light, Texture};
 use crate::medium::Medium;
+use crate::render::surfaces::{Surfaces, lit, reflected};
 use crate::render::{Renderer, raycast};
 use crate::scene::{RenderKeys, Scene, SlicesKeys};
 
@@ -39,6 +43,7 @@ pub struct HalfAngle {
     lights: Vec<Light>,
     anisotropy: f32,
     spotlight: Option<Texture>,
+    surfaces: Option<Surfaces>,
 }
 
 /// What one pass is for.
@@ -53,31 +58,62 @@ struct Pass {
 }
 
 impl HalfAngle {
-    /// Slices as `scene.slices` and `scene.render` say, under the lights of the scene.
+    /// Slices as `scene.slices` and `scene.render` say, under the lights of the scene, up to what is opaque.
     ///
     /// # Errors
     /// Those of [`lights::resolve`], and of reading the image of spotlights.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &Scene, geometry: Option<Arc<Geometry>>) -> Result<Self> {
         Ok(HalfAngle {
             render: scene.render.clone(),
             keys: scene.slices.clone(),
             lights: lights::resolve(scene)?,
             anisotropy: scene.transfer.anisotropy,
             spotlight: scene.slices.spotlight.as_deref().map(Texture::read).transpose()?,
+            surfaces: geometry.map(Surfaces::new),
         })
+    }
+
+    /// Radiance of the environments, as even light.
+    fn even(&self) -> [f32; 3] {
+        let mean = self.lights.iter().filter_map(Light::mean_radiance);
+        mean.fold([0.0; 3], |even, radiance| std::array::from_fn(|c| even[c] + radiance[c]))
     }
 
     /// What arrives undimmed: environments, as even light; without shadows all lights.
     fn unshadowed(&self) -> Vec<Weight> {
-        let mut even = [0.0; 3];
-        for radiance in self.lights.iter().filter_map(Light::mean_radiance) {
-            even = std::array::from_fn(|c| even[c] + radiance[c]);
-        }
+        let even = self.even();
         let mut weights: Vec<Weight> = (even != [0.0; 3]).then_some(Weight::Uniform(even)).into_iter().collect();
         if !self.keys.shadows {
             weights.extend(self.lights.iter().filter_map(|l| light::weight(l, self.anisotropy)));
         }
         weights
+    }
+
+    /// What the picture's rays end at: surfaces in the direct light of the light volume, and in all of the environment's; without
+    /// shadows in undimmed light. Nothing where nothing is opaque.
+    fn behind(
+        &self,
+        device: &dyn Device,
+        grid: &Grid,
+        terms: &[Term],
+        camera: &Camera,
+        size: [usize; 2],
+    ) -> Result<Vec<Behind>> {
+        let Some(surfaces) = &self.surfaces else { return Ok(vec![]) };
+        let dims =
+            |term: &&Term| self.keys.shadows && matches!(term.weight, Weight::Phase { .. } | Weight::Lamp { .. });
+        surfaces.seen(camera, size, |met| {
+            let mut radiance = lit(device, grid, terms.iter().filter(dims), met)?;
+            let (even, undimmed) = (self.even(), self.unshadowed());
+            for (radiance, hit) in radiance.iter_mut().zip(met) {
+                let shares = undimmed.iter().map(|weight| match weight {
+                    Weight::Uniform(_) => even,
+                    other => reflected(other, hit, grid),
+                });
+                *radiance = shares.fold(*radiance, |sum, share| std::array::from_fn(|c| sum[c] + share[c]));
+            }
+            Ok(radiance)
+        })
     }
 
     fn phong(&self, grid: &Grid) -> Option<Phong> {
@@ -328,8 +364,12 @@ fn passes(light: &Light, grid: &Grid, texel: f64, part: &Part) -> Option<Vec<Pas
 }
 
 impl Renderer for HalfAngle {
-    /// Slices find their own shadows.
+    /// Slices find their own shadows, in the medium.
     fn needs_light(&self) -> bool {
+        self.surfaces.is_some() && self.keys.shadows
+    }
+
+    fn needs_scattered_light(&self) -> bool {
         false
     }
 
@@ -337,7 +377,7 @@ impl Renderer for HalfAngle {
         &self,
         device: &dyn Device,
         medium: &Medium,
-        _: &LightVolume,
+        light: &LightVolume,
         camera: &Camera,
         size: [usize; 2],
     ) -> Result<Frame> {
@@ -349,6 +389,7 @@ impl Renderer for HalfAngle {
         let phong = self.phong(grid);
         // R = d·tan(θ/2) (9) for a step of a voxel; of an even disk, a quarter of R² is the variance along each axis.
         let blur = 0.25 * grid.mean_spacing() * (0.5 * self.keys.blur).to_radians().tan().powi(2);
+        let behind = self.behind(device, grid, &light.terms(), camera, size)?;
         let mut rays = vec![Ray::FRESH; size[0] * size[1]];
         let mut frame = Frame::new(size);
         for part in Part::all(&eye, size) {
@@ -367,19 +408,23 @@ impl Renderer for HalfAngle {
                 all.push((None, None));
             }
             let last = all.len() - 1;
-            for (n, (light, pass)) in all.iter().enumerate() {
+            for (number, (light, pass)) in all.iter().enumerate() {
                 let start = light.zip(pass.as_ref()).and_then(|(light, pass)| self.start(light, pass));
+                let opaque = self.surfaces.as_ref().zip(pass.as_ref());
+                let opaque = opaque.map_or(vec![], |(surfaces, pass)| surfaces.shade(&pass.view, pass.size));
                 let beam = light.zip(pass.as_ref()).map(|(light, pass)| Beam {
                     weight: light::weight(light, self.anisotropy).expect("a light that casts shadows"),
                     view: pass.view,
                     size: pass.size,
                     inner: pass.inner,
                     start: start.as_deref(),
+                    opaque: &opaque,
                     attenuation: self.keys.attenuation.rgb(),
                     blur,
                 });
                 let (axis, spacing) = pass.as_ref().map_or((part.middle, 1.0), |p| (p.axis, p.spacing));
                 rays.fill(Ray::FRESH);
+                rays.iter_mut().zip(&behind).for_each(|(ray, behind)| *ray = behind.ray());
                 let slices = Slices {
                     grid,
                     field: &medium.field,
@@ -392,17 +437,21 @@ impl Renderer for HalfAngle {
                     eye,
                     picture: size,
                     window: part.window,
-                    unshadowed: if n == last { &unshadowed } else { &[] },
+                    unshadowed: if number == last { &unshadowed } else { &[] },
                     beam,
-                    glows: n == last,
+                    glows: number == last,
                     phong,
+                    clips: &medium.clips,
                 };
                 device.slice(&slices, &mut rays)?;
                 let [[left, right], [top, bottom]] = part.window;
                 for y in top..bottom {
                     let row = y * size[0] + left..y * size[0] + right;
-                    for (pixel, ray) in frame.pixels[row.clone()].iter_mut().zip(&rays[row]) {
-                        let [r, g, b, coverage] = ray.pixel();
+                    for (n, (pixel, ray)) in frame.pixels[row.clone()].iter_mut().zip(&rays[row.clone()]).enumerate() {
+                        let [r, g, b, coverage] = match behind.get(row.start + n) {
+                            Some(behind) if number == last => behind.pixel(ray),
+                            _ => ray.pixel(),
+                        };
                         *pixel = [pixel[0] + r, pixel[1] + g, pixel[2] + b, coverage];
                     }
                 }

@@ -4,12 +4,14 @@
 //! volume; of scattered light φ/2, since it comes from the side that the surface faces, evenly. Light is taken a voxel and a half of its
 //! grid in front of the surface, clear of the voxels that the surface blocks; outside of the volume, where the volume ends.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::camera::Camera;
+use crate::device::slices::Projection;
 use crate::device::{Behind, Device, Term, Weight};
 use crate::error::Result;
 use crate::geometry::{Geometry, Hit};
@@ -35,43 +37,41 @@ impl Surfaces {
         Surfaces { geometry, kept: Mutex::default() }
     }
 
-    /// What the rays of a picture end at, lit by `terms`.
+    /// What the rays of a picture end at; `radiance` gives that of what is met, as white surfaces throw it back.
     pub fn seen(
         &self,
-        device: &dyn Device,
-        data: &Grid,
-        terms: &[Term],
         camera: &Camera,
         size: [usize; 2],
+        radiance: impl FnOnce(&[Hit]) -> Result<Vec<[f32; 3]>>,
     ) -> Result<Vec<Behind>> {
         let hits = self.hits(camera, size);
-        let met: Vec<(usize, Hit)> = hits.iter().enumerate().filter_map(|(n, hit)| Some((n, (*hit)?))).collect();
-        let mut behind = vec![Behind::NOTHING; hits.len()];
-        for (n, hit) in &met {
-            behind[*n].end = hit.t as f32;
-        }
-        let (mut points, mut values) = (Vec::new(), Vec::new());
-        for term in terms {
-            let Grid { size, spacing, origin } = *term.grid;
-            let ahead = IN_FRONT * term.grid.mean_spacing();
-            points.clear();
-            points.extend(met.iter().map(|(_, hit)| {
-                let at = hit.position + ahead * hit.normal - DVec3::from(origin);
-                (at / DVec3::from(spacing)).as_vec3().to_array()
-            }));
-            values.clear();
-            values.resize(points.len(), 0.0);
-            device.sample(size, term.values, &points, &mut values)?;
-            for ((n, hit), value) in met.iter().zip(&values) {
-                let share = reflected(&term.weight, hit, data);
-                let radiance = &mut behind[*n].radiance;
-                (0..3).for_each(|c| radiance[c] += hit.color[c] * share[c] * value);
-            }
-        }
-        for (n, _) in &met {
-            behind[*n].radiance.iter_mut().for_each(|l| *l = l.max(0.0));
-        }
-        Ok(behind)
+        let met: Vec<Hit> = hits.iter().copied().flatten().collect();
+        let mut radiance = radiance(&met)?.into_iter();
+        let mut behind = |hit: Hit| {
+            let white = radiance.next().unwrap_or_default();
+            let radiance = std::array::from_fn(|c| hit.color[c] * white[c].max(0.0));
+            Behind { end: hit.t as f32, radiance }
+        };
+        Ok(hits.iter().map(|hit| hit.map_or(Behind::NOTHING, &mut behind)).collect())
+    }
+
+    /// What rays of a picture meet first, by their numbers, row by row.
+    pub fn meet(&self, camera: &Camera, size: [usize; 2], rays: Range<usize>) -> Vec<Option<Hit>> {
+        let eye = camera.eye.as_dvec3();
+        let ray = |n: usize| camera.ray(size, (n % size[0]) as f32, (n / size[0]) as f32).as_dvec3();
+        rays.into_par_iter().map(|n| self.geometry.first_hit(eye, ray(n), f64::from(f32::MAX))).collect()
+    }
+
+    /// For each texel of a light's picture the world length of its ray up to where it first and last meets a surface; infinite where
+    /// it does not.
+    pub fn shade(&self, view: &Projection, size: [usize; 2]) -> Vec<[f32; 2]> {
+        let texel = |i: usize, n: usize| 2.0 * (i as f64 + 0.5) / n as f64 - 1.0;
+        let ends = |n: usize| {
+            let q = [texel(n % size[0], size[0]), texel(n / size[0], size[1])];
+            let (start, way) = (view.start(q), view.way(q));
+            self.geometry.ends(start, way).map_or([f32::INFINITY; 2], |ends| ends.map(|t| t as f32))
+        };
+        (0..size[0] * size[1]).into_par_iter().map(ends).collect()
     }
 
     fn hits(&self, camera: &Camera, size: [usize; 2]) -> Hits {
@@ -79,11 +79,7 @@ impl Surfaces {
         if let Some((.., hits)) = kept.iter().find(|(of, at, _)| of == camera && *at == size) {
             return hits.clone();
         }
-        let [width, height] = size;
-        let ray = |n: usize| camera.ray(size, (n % width) as f32, (n / width) as f32);
-        let eye = camera.eye.as_dvec3();
-        let hit = |n: usize| self.geometry.first_hit(eye, ray(n).as_dvec3(), f64::from(f32::MAX));
-        let hits: Hits = Arc::new((0..width * height).into_par_iter().map(hit).collect());
+        let hits: Hits = Arc::new(self.meet(camera, size, 0..size[0] * size[1]));
         if kept.len() == KEPT {
             kept.remove(0);
         }
@@ -92,8 +88,36 @@ impl Surfaces {
     }
 }
 
+/// Radiance that white surfaces throw back of the light of `terms`.
+pub(super) fn lit<'a>(
+    device: &dyn Device,
+    data: &Grid,
+    terms: impl IntoIterator<Item = &'a Term<'a>>,
+    met: &[Hit],
+) -> Result<Vec<[f32; 3]>> {
+    let mut radiance = vec![[0.0; 3]; met.len()];
+    let (mut points, mut values) = (Vec::new(), Vec::new());
+    for term in terms {
+        let Grid { size, spacing, origin } = *term.grid;
+        let ahead = IN_FRONT * term.grid.mean_spacing();
+        points.clear();
+        points.extend(met.iter().map(|hit| {
+            let at = hit.position + ahead * hit.normal - DVec3::from(origin);
+            (at / DVec3::from(spacing)).as_vec3().to_array()
+        }));
+        values.clear();
+        values.resize(points.len(), 0.0);
+        device.sample(size, term.values, &points, &mut values)?;
+        for ((radiance, hit), value) in radiance.iter_mut().zip(met).zip(&values) {
+            let share = reflected(&term.weight, hit, data);
+            (0..3).for_each(|c| radiance[c] += share[c] * value);
+        }
+    }
+    Ok(radiance)
+}
+
 /// Radiance that a white surface throws back for one unit of a term's value.
-fn reflected(weight: &Weight, hit: &Hit, data: &Grid) -> [f32; 3] {
+pub(super) fn reflected(weight: &Weight, hit: &Hit, data: &Grid) -> [f32; 3] {
     const PI: f32 = std::f32::consts::PI;
     let normal = hit.normal.as_vec3();
     let facing = |travel: Vec3| (-normal.dot(travel)).max(0.0) / PI;

@@ -59,13 +59,6 @@ impl Scene {
         }
         self.area_lights()?;
         self.clip.iter().enumerate().try_for_each(|(i, keys)| clip(i, keys))?;
-        let cuts = matches!(self.render.kind, RenderKind::Raycast | RenderKind::Pathtrace);
-        if !self.clip.is_empty() && !cuts {
-            return Err(Error::Unsupported(format!(
-                "[[clip]] with render.kind = {:?}\n  try: \"raycast\" or \"pathtrace\"",
-                self.render.kind
-            )));
-        }
         solver(&self.light)?;
         self.cameras.iter().enumerate().try_for_each(|(i, keys)| camera(i, keys, self.render.kind))?;
         for (i, keys) in self.cameras.iter().enumerate() {

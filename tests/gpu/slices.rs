@@ -4,7 +4,7 @@ use glam::DVec3;
 use gloaming::BrickLayout;
 use gloaming::camera::Camera;
 use gloaming::device::slices::{Beam, Projection, Slices, Slicing};
-use gloaming::device::{Cone, Lamp, March, Optic, Phong, Ray, Term, Weight};
+use gloaming::device::{Clip, ClipShape, Cone, Lamp, March, Optic, Phong, Ray, Term, Weight};
 use gloaming::frame::Frame;
 use gloaming::transfer::Graded;
 
@@ -69,6 +69,12 @@ fn slices_agree() {
     let cone = Cone { axis: Vec3::new(0.9, 0.3, -0.1).normalize(), outer: 0.8, inner: 0.95, cosine: false };
     let lamp = Lamp { position: DVec3::new(0.4, -2.0, 0.9), radius: 0.0, cone: Some(cone) };
     let start: Vec<[f32; 3]> = (0..48 * 32).map(|i| [1.0, 0.5 + 0.5 * ((i % 7) as f32 / 7.0), 0.3]).collect();
+    let stop = |i: usize| if i % 48 < 12 { [0.5 + 0.004 * (i / 48) as f32, 1.1] } else { [f32::INFINITY; 2] };
+    let met: Vec<[f32; 2]> = (0..48 * 32).map(stop).collect();
+    let cuts = [
+        Clip { shape: ClipShape::Plane { normal: Vec3::new(0.7, 0.2, -0.1), offset: 4.3 }, invert: false },
+        Clip { shape: ClipShape::Box { low: Vec3::splat(11.2), high: Vec3::splat(16.7) }, invert: true },
+    ];
     let beam = |parallel: bool, blur| Beam {
         weight: if parallel {
             Weight::Phase { direction: Vec3::X, irradiance: [3.0, 2.0, 1.0], g: 0.4 }
@@ -85,6 +91,7 @@ fn slices_agree() {
         size: [48, 32],
         inner: if parallel { [f64::INFINITY; 2] } else { [0.9, 0.7] },
         start: if blur > 0.0 { Some(&start[..]) } else { None },
+        opaque: if blur > 0.0 { &met[..] } else { &[] },
         attenuation: if blur > 0.0 { [0.9, 0.5, 0.2] } else { [1.0; 3] },
         blur,
     };
@@ -97,7 +104,8 @@ fn slices_agree() {
                 let bricks = BrickLayout::new(grid.size, 8);
                 let majorant = table.majorants(&d.brick_range(&bricks, &field).unwrap());
                 let axis = if under { DVec3::new(0.6, 0.7, -0.3) } else { DVec3::new(0.8, -0.5, 0.2) };
-                let mut rays = vec![Ray::FRESH; 45 * 37];
+                let end = |n: usize| if n % 3 == 0 { 1.7 + 0.01 * (n % 45) as f32 } else { f32::MAX };
+                let mut rays: Vec<Ray> = (0..45 * 37).map(|n| Ray { end: end(n), ..Ray::FRESH }).collect();
                 let slices = Slices {
                     grid: &grid,
                     field: &field,
@@ -115,6 +123,7 @@ fn slices_agree() {
                     beam,
                     glows: under,
                     phong: (case == 0).then_some(phong),
+                    clips: if under { &cuts } else { &[] },
                 };
                 d.slice(&slices, &mut rays).unwrap();
                 rays.iter().flat_map(Ray::pixel).collect::<Vec<f32>>()

@@ -6,7 +6,7 @@ use gloaming::device::surface::{
     Attenuation, Beauty, Environment, Estimator, Filtered, Hit, Map, Occlusion, Samples, Subsurface, Surface, Surfaces,
     distances,
 };
-use gloaming::device::{Cone, Lamp, Term, Weight};
+use gloaming::device::{Clip, ClipShape, Cone, Lamp, Term, Weight};
 use gloaming::field::EMPTY;
 
 use super::*;
@@ -42,7 +42,12 @@ fn solids() -> Vec<Surface> {
 }
 
 /// Runs on both devices with everything in place.
-fn with<T>(hits: &[Hit], skips: bool, run: impl Fn(&dyn Device, &Surfaces, &Buffer, &[Hit]) -> T) -> [T; 2] {
+fn with<T>(
+    hits: &[Hit],
+    skips: bool,
+    clips: &[Clip],
+    run: impl Fn(&dyn Device, &Surfaces, &Buffer, &[Hit]) -> T,
+) -> [T; 2] {
     let grid = anisotropic();
     let bricks = BrickLayout::new(ODD, 8);
     let solids = solids();
@@ -57,6 +62,7 @@ fn with<T>(hits: &[Hit], skips: bool, run: impl Fn(&dyn Device, &Surfaces, &Buff
             bricks,
             empty: if skips { &empty } else { &[] },
             surfaces: &solids,
+            clips,
             step: 0.01,
             camera: &camera,
             picture: PICTURE,
@@ -69,13 +75,21 @@ fn with<T>(hits: &[Hit], skips: bool, run: impl Fn(&dyn Device, &Surfaces, &Buff
     })
 }
 
+/// A plane across both blobs, and a box out of one of them.
+fn cuts() -> [Clip; 2] {
+    [
+        Clip { shape: ClipShape::Plane { normal: Vec3::new(-0.9, 0.1, 0.2), offset: -13.3 }, invert: false },
+        Clip { shape: ClipShape::Box { low: Vec3::splat(9.4), high: Vec3::new(14.2, 21.7, 40.0) }, invert: true },
+    ]
+}
+
 fn rays() -> Vec<Hit> {
     (0..(PICTURE[0] * PICTURE[1]) as u32).map(Hit::ray).collect()
 }
 
 /// Hits of the CPU, so that what is compared begins at the same places.
 fn found() -> Vec<Hit> {
-    let [mut hits, _] = with(&rays(), true, |d, s, _, hits| {
+    let [mut hits, _] = with(&rays(), true, &[], |d, s, _, hits| {
         let mut hits = hits.to_vec();
         d.surface_hits(s, &mut hits).unwrap();
         hits
@@ -86,8 +100,8 @@ fn found() -> Vec<Hit> {
 
 #[test]
 fn surface_hits_agree() {
-    for skips in [true, false] {
-        let [want, got] = with(&rays(), skips, |d, s, _, hits| {
+    for (skips, clips) in [(true, &[][..]), (false, &[]), (true, &cuts())] {
+        let [want, got] = with(&rays(), skips, clips, |d, s, _, hits| {
             let mut hits = hits.to_vec();
             let mut all = Vec::new();
             for _ in 0..3 {
@@ -133,9 +147,9 @@ fn compare(want: &[f32], got: &[f32], tolerance: f32, what: &str) {
 fn surface_occlusion_agrees() {
     let hits = found();
     assert!(hits.len() > 300);
-    for estimator in ESTIMATORS {
+    for (estimator, clips) in [(ESTIMATORS[0], &[][..]), (ESTIMATORS[1], &[]), (ESTIMATORS[0], &cuts())] {
         let occlusion = Occlusion { radius: 0.4, steps: 12, estimator, seed: 5 };
-        let [want, got] = with(&hits, true, |d, s, _, hits| {
+        let [want, got] = with(&hits, true, clips, |d, s, _, hits| {
             let mut sums = vec![[0.0; 4]; hits.len()];
             for part in [Samples { first: 0, end: 7 }, Samples { first: 7, end: 24 }] {
                 d.surface_occlusion(s, &occlusion, part, hits, &mut sums).unwrap();
@@ -159,7 +173,7 @@ fn surface_beauty_agrees() {
     let bent: Vec<[f32; 4]> = noise(3, 4 * hits.len()).as_chunks::<4>().0.to_vec();
     for (filtered, bent) in [(None, &[][..]), (None, &bent[..]), (Some(&filtered), &[][..])] {
         for estimator in ESTIMATORS {
-            let [want, got] = with(&hits, true, |d, s, texels, hits| {
+            let [want, got] = with(&hits, true, &[], |d, s, texels, hits| {
                 let environment = Environment { texels, radiance: map, filtered };
                 let part = |first, end| Samples { first, end };
                 let beauty =
@@ -182,12 +196,14 @@ fn surface_beauty_agrees() {
 fn surface_subsurface_agrees() {
     let hits = found();
     let table = table();
-    for (estimator, fast, refracts, by) in [
-        (Estimator::Normalised, false, true, None),
-        (Estimator::Paper, true, false, None),
-        (Estimator::Normalised, false, false, Some(&table)),
+    for (estimator, fast, refracts, by, clips) in [
+        (Estimator::Normalised, false, true, None, &[][..]),
+        (Estimator::Paper, true, false, None, &[]),
+        (Estimator::Normalised, false, false, Some(&table), &[]),
+        (Estimator::Normalised, false, false, None, &cuts()),
+        (Estimator::Normalised, true, false, Some(&table), &cuts()),
     ] {
-        let [want, got] = with(&hits, true, |d, s, texels, hits| {
+        let [want, got] = with(&hits, true, clips, |d, s, texels, hits| {
             let environment = Environment { texels, radiance: Map { first: 0, edge: 32 }, filtered: None };
             let of = Subsurface {
                 environment,
@@ -220,7 +236,7 @@ fn surface_light_agrees() {
         Weight::Lamp { lamp, intensity: [2.0, 3.0, 1.0], g: 0.3 },
     ];
     for weight in weights {
-        let [want, got] = with(&hits, true, |d, s, _, hits| {
+        let [want, got] = with(&hits, true, &[], |d, s, _, hits| {
             let term = Term { values: &upload(d, &values), grid: &coarse, weight };
             let mut sums = vec![[[0.5; 3]; 2]; hits.len()];
             d.surface_light(s, &term, hits, &mut sums).unwrap();

@@ -82,29 +82,32 @@ pub static MARCH: Shader = shader!("march", ["grid", "table", "lamp", "matter", 
 /// See `shaders/gradient.wgsl`.
 pub static GRADIENT: Shader = shader!("gradient", ["grid", "table"], size_of::<gradient::Params>());
 /// See `shaders/slice.wgsl`.
-pub static SLICE: Shader = shader!("slice", ["grid", "table", "lamp", "matter"], size_of::<slices::Params>());
+pub static SLICE: Shader = shader!("slice", ["grid", "table", "lamp", "matter", "clip"], size_of::<slices::Params>());
 
 /// See `shaders/surface_hits.wgsl`.
 pub static SURFACE_HITS: Shader =
-    shader!("surface_hits", ["grid", "table", "hash", "random", "surface"], size_of::<surface::Params>());
+    shader!("surface_hits", ["grid", "table", "clip", "hash", "random", "surface"], size_of::<surface::Params>());
 /// See `shaders/surface_occlusion.wgsl`.
 pub static SURFACE_OCCLUSION: Shader =
-    shader!("surface_occlusion", ["grid", "table", "hash", "random", "surface"], size_of::<surface::Params>());
+    shader!("surface_occlusion", ["grid", "table", "clip", "hash", "random", "surface"], size_of::<surface::Params>());
 /// See `shaders/surface_beauty.wgsl`.
 pub static SURFACE_BEAUTY: Shader = shader!(
     "surface_beauty",
-    ["grid", "table", "hash", "random", "surface", "surface_sky"],
+    ["grid", "table", "clip", "hash", "random", "surface", "surface_sky"],
     size_of::<surface::Params>()
 );
 /// See `shaders/surface_subsurface.wgsl`.
 pub static SURFACE_SUBSURFACE: Shader = shader!(
     "surface_subsurface",
-    ["grid", "table", "hash", "random", "surface", "surface_sky"],
+    ["grid", "table", "clip", "hash", "random", "surface", "surface_sky"],
     size_of::<surface::Params>()
 );
 /// See `shaders/surface_light.wgsl`.
-pub static SURFACE_LIGHT: Shader =
-    shader!("surface_light", ["grid", "table", "hash", "random", "lamp", "surface"], size_of::<surface::Params>());
+pub static SURFACE_LIGHT: Shader = shader!(
+    "surface_light",
+    ["grid", "table", "clip", "hash", "random", "lamp", "surface"],
+    size_of::<surface::Params>()
+);
 
 /// See `shaders/trace.wgsl`.
 pub static TRACE: Shader = shader!(

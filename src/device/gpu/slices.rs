@@ -8,6 +8,7 @@
 use encase::ShaderType;
 use glam::{DVec3, UVec2, UVec3, Vec2, Vec3};
 
+use super::clip::clips;
 use super::matter::Matter;
 use super::shader::SLICE;
 use super::{Gpu, dispatch, holds, uvec3};
@@ -65,6 +66,7 @@ pub(super) struct Params {
     inner: Vec2,
     texel: Vec2,
     texels: UVec2,
+    clips: u32,
 }
 
 #[derive(ShaderType)]
@@ -135,6 +137,7 @@ pub(super) fn slice(gpu: &Gpu, slices: &Slices, rays: &mut [Ray]) -> Result<()> 
     if sources.is_empty() {
         sources.push(Source::new(slices, Weight::Uniform([0.0; 3])));
     }
+    let meets = slices.beam.as_ref().map_or(&[][..], |beam| beam.opaque);
     let kernel = gpu.kernel(&SLICE)?;
     let bound = kernel.bind(
         &gpu.device,
@@ -148,6 +151,8 @@ pub(super) fn slice(gpu: &Gpu, slices: &Slices, rays: &mut [Ray]) -> Result<()> 
             ("sources", &gpu.structures(&sources)?),
             ("fronts", &fronts),
             ("layers", &layers),
+            ("meets", &gpu.storage(meets)?),
+            ("clips", &gpu.structures(&clips(slices.clips))?),
             ("rays", &carried),
         ],
     )?;
@@ -159,6 +164,7 @@ pub(super) fn slice(gpu: &Gpu, slices: &Slices, rays: &mut [Ray]) -> Result<()> 
         ("SKIP", f64::from(!slices.majorant.is_empty())),
         ("SHADE", f64::from(slices.phong.is_some())),
         ("BLUR", f64::from(blurs)),
+        ("OPAQUE", f64::from(!meets.is_empty())),
         ("CHANNELS", factors.len() as f64),
         ("SOURCES", slices.unshadowed.len() as f64),
     ];
@@ -257,5 +263,6 @@ fn params(slices: &Slices, matter: &Matter, size: [usize; 2], factors: &[f32]) -
         inner: lookup.map_or(Vec2::ZERO, |l| l.inner.into()),
         texel: lookup.map_or(Vec2::ONE, |l| l.texel.into()),
         texels: UVec2::new(size[0] as u32, size[1] as u32),
+        clips: slices.clips.len() as u32,
     }
 }

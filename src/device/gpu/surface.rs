@@ -3,6 +3,7 @@
 use encase::ShaderType;
 use glam::{UVec2, UVec3, Vec3};
 
+use super::clip::clips;
 use super::shader::{SURFACE_BEAUTY, SURFACE_HITS, SURFACE_LIGHT, SURFACE_OCCLUSION, SURFACE_SUBSURFACE, Shader};
 use super::{Gpu, gpu, holds, uvec3};
 use crate::device::surface::{
@@ -49,6 +50,7 @@ pub(super) struct Params {
     outer: f32,
     slope: f32,
     cosine: f32,
+    clips: u32,
 }
 
 #[derive(ShaderType)]
@@ -72,6 +74,7 @@ struct Bound {
     empty: wgpu::Buffer,
     field: wgpu::Buffer,
     extinction: wgpu::Buffer,
+    clips: wgpu::Buffer,
     skips: bool,
     /// Rounds of loops that a ray through the volume takes at most.
     way: f64,
@@ -136,6 +139,7 @@ impl Bound {
             outer: 0.0,
             slope: 0.0,
             cosine: 0.0,
+            clips: s.clips.len() as u32,
         };
         // Each sample also goes through the list of surfaces.
         let sample = (1 + s.surfaces.len()) as f64;
@@ -148,6 +152,7 @@ impl Bound {
             empty: gpu.storage(s.empty)?,
             field: holds(s.field, grid.len())?.clone(),
             extinction: gpu.scratch(1)?,
+            clips: gpu.structures(&clips(s.clips))?,
             skips: !s.empty.is_empty(),
             way,
         })
@@ -167,9 +172,11 @@ impl Bound {
             ("empty", &self.empty),
             ("surfaces", &self.surfaces),
             ("extinction", &self.extinction),
+            ("clips", &self.clips),
         ];
         bindings.extend_from_slice(buffers);
-        let mut given = vec![("SKIP", f64::from(self.skips)), ("TRANSFER", 0.0), ("PAPER", 0.0)];
+        let cut = f64::from(self.params.clips > 0);
+        let mut given = vec![("SKIP", f64::from(self.skips)), ("CUT", cut), ("TRANSFER", 0.0), ("PAPER", 0.0)];
         for (name, value) in constants {
             match given.iter_mut().find(|(n, _)| n == name) {
                 Some(known) => known.1 = f64::from(*value),

@@ -551,7 +551,7 @@ fn waiting<V: Lanes>(plan: &Plan, rays: &Rays<V>, n: V, live: V::Mask) -> [V; 2]
 
 /// Where the medium is not cut away.
 #[inline(always)]
-fn kept<V: Lanes>(clips: &[Clip], position: [V; 3]) -> V::Mask {
+pub(in crate::device::cpu) fn kept<V: Lanes>(clips: &[Clip], position: [V; 3]) -> V::Mask {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let mut kept = one;
     for clip in clips {

@@ -4,12 +4,12 @@
 
 use std::ops::Range;
 
-use super::super::march::kernel::{Cell, Sample, dots, lamp, shade, three, weight};
+use super::super::march::kernel::{Cell, Sample, dots, kept, lamp, shade, three, weight};
 use super::super::march::lanes::{Lanes, opacity};
 use super::super::march::plan::Matter;
 use super::plan::{Plan, Shine, Source};
 use crate::device::slices::{BATCH, Beam, Casting};
-use crate::device::{March, Ray, Weight};
+use crate::device::{Clip, March, Ray, Weight};
 
 /// Pixels, and texels, along the edge of a tile.
 pub(super) const TILE: usize = March::TILE;
@@ -117,11 +117,23 @@ fn sample<V: Lanes>(matter: &Matter, rays: &Rays<V>, (from, to): (V, V)) -> (Sam
     (Sample::new(matter, position, three!(a => half * rays.slope[a]), &cell), position)
 }
 
-/// Extinction in an interval; 0 in holes and where there is no interval.
+/// Extinction in an interval; 0 in holes, where it is cut away, and where there is no interval.
 #[inline(always)]
-fn extinction<V: Lanes>(matter: &Matter, rays: &Rays<V>, (from, to): (V, V)) -> V {
-    let sigma = sample(matter, rays, (from, to)).0.extinction(&matter.optics);
-    V::select(from.lt(to), sigma, V::splat(0.0))
+fn extinction<V: Lanes>(matter: &Matter, clips: &[Clip], rays: &Rays<V>, (from, to): (V, V)) -> V {
+    let (sample, position) = sample(matter, rays, (from, to));
+    let mut inside = from.lt(to);
+    if !clips.is_empty() {
+        inside = inside & kept(clips, position);
+    }
+    V::select(inside, sample.extinction(&matter.optics), V::splat(0.0))
+}
+
+/// 0 where the rays of texels meet something opaque between two distances, 1 elsewhere.
+#[inline(always)]
+fn passes<V: Lanes>(meets: [V; 2], (from, to): (V, V)) -> V {
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let free = |at: V| V::select(from.lt(at), V::select(to.lt(at), one, zero), one);
+    free(meets[0]) * free(meets[1])
 }
 
 /// Layout of a light buffer: rows of texels, each channel after the other; of the layers that the eye reads: rows, each layer
@@ -201,6 +213,9 @@ pub(super) fn light<V: Lanes>(
             let rays = Rays::<V>::new(&shine.casting, matter, points(at, texels.size));
             let span = rays.within(slabs);
             let idle = !visible(matter, &rays, span);
+            let meets = (!shine.opaque.is_empty()).then(|| {
+                [0, 1].map(|end| V::from_fn(|l| shine.opaque[(at[1] + l / w) * texels.size[0] + x + l % w][end]))
+            });
             let mut store = |value: V, into: &mut [f32], stride: usize, first: usize| {
                 value.store(&mut lanes);
                 for r in 0..h {
@@ -220,12 +235,19 @@ pub(super) fn light<V: Lanes>(
                     let mut middle = arriving;
                     if !idle {
                         let (from, to) = rays.within(&(i..i + 1));
-                        let sigma = extinction(matter, &rays, (from, to)) * factor;
+                        let sigma = extinction(matter, plan.clips, &rays, (from, to)) * factor;
                         let before = (rays.plane(i as f32 + 0.5).max(from) - from).min((to - from).max(zero));
                         middle = arriving * (one - opacity(sigma * before));
                         arriving = arriving * (one - opacity(sigma * (to - from).max(zero)));
                         // Two roundings must not let light grow.
                         middle = middle.max(arriving);
+                    }
+                    if let Some(meets) = meets {
+                        let [half, to] = [rays.plane(i as f32 + 0.5), rays.plane((i + 1) as f32)];
+                        // What light meets on its way to the first slab counts for that.
+                        let from = if i == 0 { zero } else { rays.plane(i as f32) };
+                        middle = middle * passes(meets, (from, half));
+                        arriving = arriving * passes(meets, (from, to));
                     }
                     store(middle, layers, BATCH * row, y * BATCH * row + k * row + c * texels.size[0] + x);
                 }
@@ -362,13 +384,14 @@ pub(super) fn eye<V: Lanes>(
             if (0..2).any(|a| at[a] >= window[a][1] || at[a] < window[a][0]) {
                 continue;
             }
-            let rays = Rays::<V>::new(&plan.eye, &plan.matter, points(at, plan.picture));
+            // Lanes beyond the picture repeat its last pixel.
+            let index = |l: usize| (y + l / w).min(band.len() / width - 1) * width + (at[0] + l % w).min(width - 1);
+            let mut rays = Rays::<V>::new(&plan.eye, &plan.matter, points(at, plan.picture));
+            rays.far = rays.far.min(V::from_fn(|l| band[index(l)].end));
             let span = rays.within(slabs);
             if !visible(&plan.matter, &rays, span) {
                 continue;
             }
-            // Lanes beyond the picture repeat its last pixel.
-            let index = |l: usize| (y + l / w).min(band.len() / width - 1) * width + (at[0] + l % w).min(width - 1);
             let mut through = three!(c => V::from_fn(|l| band[index(l)].transmittance[c]));
             let opaque = V::splat(March::OPAQUE);
             if plan.under && !V::any(opaque.lt(through[0].max(through[1]).max(through[2]))) {
@@ -416,7 +439,10 @@ fn packet<V: Lanes>(
         }
         let ds = (to - from).max(zero);
         let (sample, position) = sample(matter, rays, (from, to));
-        let inside = zero.lt(ds) & sample.there;
+        let mut inside = zero.lt(ds) & sample.there;
+        if !plan.clips.is_empty() {
+            inside = inside & kept(plan.clips, position);
+        }
         let sigma = V::select(inside, sample.extinction(optics), zero);
         let seen = V::any(zero.lt(sigma));
         if !seen && emission.is_none() {

@@ -3,7 +3,7 @@
 use super::super::host;
 use super::super::march::plan::Matter;
 use crate::device::slices::{Beam, Casting, Lookup, Slices};
-use crate::device::{Falloff, Phong, Weight};
+use crate::device::{Clip, Falloff, Phong, Weight};
 use crate::grid::Slab;
 
 /// A weight, and where its lamp is if it is one's.
@@ -23,7 +23,7 @@ impl Source {
 }
 
 /// A light, ready for its rays.
-pub(super) struct Shine {
+pub(super) struct Shine<'a> {
     pub source: Source,
     pub casting: Casting,
     pub lookup: Lookup,
@@ -31,6 +31,8 @@ pub(super) struct Shine {
     /// Factor on extinction of each channel that is kept.
     pub factors: Vec<f32>,
     pub blur: f32,
+    /// Where the rays of texels meet something opaque; empty where nothing is.
+    pub opaque: &'a [[f32; 2]],
 }
 
 /// A pass, ready for rays.
@@ -41,22 +43,24 @@ pub(super) struct Plan<'a> {
     /// True where the eye meets slabs in the same order as the light.
     pub under: bool,
     pub unshadowed: Vec<Source>,
-    pub shine: Option<Shine>,
+    pub shine: Option<Shine<'a>>,
     pub glows: bool,
     pub phong: Option<Phong>,
+    pub clips: &'a [Clip],
 }
 
 impl<'a> Plan<'a> {
     pub fn new(slices: &'a Slices) -> Self {
         let grid = slices.grid;
         let whole = Slab::whole(grid.size);
-        let shine = |beam: &Beam| Shine {
+        let shine = |beam: &'a Beam| Shine {
             source: Source::new(slices, beam.weight),
             casting: Casting::new(&beam.view, &slices.slicing, grid),
             lookup: Lookup::new(beam, grid),
             size: beam.size,
             factors: beam.factors(slices.table.chromatic),
             blur: beam.blur as f32,
+            opaque: beam.opaque,
         };
         Plan {
             matter: Matter::new(
@@ -73,6 +77,7 @@ impl<'a> Plan<'a> {
             shine: slices.beam.as_ref().map(shine),
             glows: slices.glows,
             phong: slices.phong,
+            clips: slices.clips,
         }
     }
 }

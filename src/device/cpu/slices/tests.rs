@@ -66,9 +66,11 @@ fn pass<'a>(grid: &'a Grid, field: &'a Buffer, table: &'a Table, parallel: bool)
             start: None,
             attenuation: [1.0; 3],
             blur: 0.0,
+            opaque: &[],
         }),
         glows: true,
         phong: None,
+        clips: &[],
     }
 }
 

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::device::Clip;
 use crate::device::cpu::host;
 use crate::device::surface::{Attenuation, Hit, Surface, Surfaces};
 use crate::field::HOLE;
@@ -74,6 +75,7 @@ impl<'a> Volume<'a> {
 struct Space<'a> {
     volume: Volume<'a>,
     surfaces: &'a [Surface],
+    clips: &'a [Clip],
     spacing: Vec3,
     /// Values per world length.
     per_length: Vec3,
@@ -129,6 +131,7 @@ impl<'a> Space<'a> {
         Space {
             volume: Volume::new(host(s.field), grid.size),
             surfaces: s.surfaces,
+            clips: s.clips,
             spacing: spacing.as_vec3(),
             per_length: spacing.recip().as_vec3(),
             top: Vec3::from(grid.size.map(|n| n as f32 - 0.5)),
@@ -161,6 +164,12 @@ impl<'a> Space<'a> {
             return NOWHERE;
         }
         self.surfaces.iter().enumerate().fold(0, |bits, (k, s)| bits | u32::from(value >= s.value) << k)
+    }
+
+    /// False where a cut has taken away what was there.
+    #[inline(always)]
+    fn kept(&self, position: Vec3) -> bool {
+        self.clips.iter().all(|clip| clip.keeps(position))
     }
 
     /// The way from `position`, which may lie outside the box, along a unit direction through it.
@@ -197,38 +206,41 @@ impl<'a> Space<'a> {
     }
 
     /// Follows a path from its start, which is on `sides`, to the first surface. Also tells ∫ρ ds to there, or to the end: ρ is
-    /// the extinction of `attenuation`, else 1.
+    /// the extinction of `attenuation`, else 1, and 0 where it is cut away.
     fn follow(&self, path: &Path, sides: u32, attenuation: Option<&Attenuation>) -> (Option<Crossing>, f32) {
         let table = attenuation.and_then(|a| a.table);
-        let density = |value: f32| match table {
+        let density = |position: Vec3, value: f32| match table {
+            _ if !self.kept(position) => 0.0,
             Some(_) if value < HOLE => 0.0,
             Some(table) => table.extinction_of(value),
             None => 1.0,
         };
+        // What differs from place to place has to be summed up everywhere.
+        let differs = table.is_some() || attenuation.is_some() && !self.clips.is_empty();
         let (mut before, mut from, mut n) = (sides, 0.0, 0u32);
         let mut here = path.start;
         let mut thick = 0.0;
-        let mut rho = if table.is_some() { density(self.volume.at(here)) } else { 1.0 };
+        let mut rho = if differs { density(here, self.volume.at(here)) } else { 1.0 };
         while from < path.length {
-            // Extinction has to be summed up everywhere.
-            let last = if table.is_some() { n } else { self.leap(path, here, n) };
+            let last = if differs { n } else { self.leap(path, here, n) };
             n = last.max(n + 1);
             let to = (n as f32 * self.step).min(path.length);
             here = path.at(to);
             let value = self.volume.at(here);
             let behind = self.sides(value);
-            let crosses = behind != before && behind != NOWHERE && before != NOWHERE;
-            if crosses && let Some(crossing) = self.bisect(path, [from, to], before, behind) {
-                if table.is_some() {
-                    let end = density(self.surfaces[crossing.surface as usize].value);
+            if behind != before
+                && let Some(crossing) = self.crossing(path, [from, to], before, behind)
+            {
+                if differs {
+                    let end = density(crossing.position, self.surfaces[crossing.surface as usize].value);
                     thick += 0.5 * (rho + end) * (crossing.t - from);
                 } else {
                     thick = crossing.t;
                 }
                 return (Some(crossing), thick);
             }
-            if table.is_some() {
-                let end = density(value);
+            if differs {
+                let end = density(here, value);
                 thick += 0.5 * (rho + end) * (to - from);
                 rho = end;
             } else {
@@ -237,6 +249,39 @@ impl<'a> Space<'a> {
             (before, from) = (behind, to);
         }
         (None, thick)
+    }
+
+    /// Where a path goes through a surface in a step between two sides; `None` where there is none, or it is cut away. Far behind a
+    /// cut are no data: a step that begins or ends there does so at the cut.
+    fn crossing(
+        &self,
+        path: &Path,
+        [mut from, mut to]: [f32; 2],
+        mut before: u32,
+        mut behind: u32,
+    ) -> Option<Crossing> {
+        if before == NOWHERE || behind == NOWHERE {
+            let ends = [from, to].map(|t| self.kept(path.at(t)));
+            if ends[0] == ends[1] {
+                return None;
+            }
+            let (mut near, mut far) = (from, to);
+            for _ in 0..Surfaces::BISECTIONS {
+                let middle = 0.5 * (near + far);
+                if self.kept(path.at(middle)) == ends[0] { near = middle } else { far = middle }
+            }
+            let cut = if ends[0] { near } else { far };
+            let sides = self.sides(self.volume.at(path.at(cut)));
+            if ends[0] {
+                (to, behind) = (cut, sides)
+            } else {
+                (from, before) = (cut, sides)
+            }
+            if before == behind || before == NOWHERE || behind == NOWHERE {
+                return None;
+            }
+        }
+        self.bisect(path, [from, to], before, behind).filter(|crossing| self.kept(crossing.position))
     }
 
     /// Interval bisection; `None` where there is a hole between.

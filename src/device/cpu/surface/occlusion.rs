@@ -53,7 +53,7 @@ fn escapes(space: &Space, occlusion: &Occlusion, start: Vec3, way: Vec3, mut sid
         if position.cmplt(Vec3::splat(-0.5)).any() || position.cmpgt(space.top).any() {
             break;
         }
-        let here = space.sides(space.volume.at(position));
+        let here = if space.kept(position) { space.sides(space.volume.at(position)) } else { NOWHERE };
         if here != sides && here != NOWHERE && sides != NOWHERE {
             let crossed = here ^ sides;
             for (k, surface) in space.surfaces.iter().enumerate() {
