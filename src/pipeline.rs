@@ -131,6 +131,9 @@ pub fn run(job: Job, stop: &AtomicBool, progress: &mut OnProgress<'_>) -> Result
     let wants_light = sinks.iter().any(|s| s.wants_light());
     let (series, scene) = coarser(series, scene, pass.range)?;
     let mut session = Session::new(device, scene, pass.range, wants_light)?;
+    if !sinks.iter().any(|s| s.wants_layers()) {
+        session.leave_out_layers();
+    }
     if let Some(kept) = kept_light {
         session.start_from(kept);
     }

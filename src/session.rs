@@ -141,6 +141,11 @@ impl Session {
         self.news = Some((change, None));
     }
 
+    /// From now on frames hold no layers that are made for themselves: for outputs that have no room for them.
+    pub fn leave_out_layers(&mut self) {
+        self.renderer.leave_out_layers();
+    }
+
     /// The grid of the steps so far.
     pub fn grid(&self) -> Option<Grid> {
         self.state.as_ref().map(|state| state.data)

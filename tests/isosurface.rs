@@ -534,6 +534,7 @@ fn traced(world: &World, table: &Table, emitter: Emitter, samples: u32) -> Vec<f
     let trace = Trace {
         grid: &world.grid,
         field: &world.field,
+        gradient: None,
         table,
         surface: None,
         bricks: world.bricks,
@@ -543,6 +544,7 @@ fn traced(world: &World, table: &Table, emitter: Emitter, samples: u32) -> Vec<f
         camera: &world.camera,
         focus: 1.0,
         clips: &[],
+        meshes: None,
         phase: Phase::HenyeyGreenstein(0.0),
         sampling: Sampling::Both,
         depth: 1,
@@ -746,6 +748,30 @@ fn layers_make_the_picture_to_the_bit_also_from_a_file() {
     let bare = Frame { layers: vec![], ..frame };
     let e = composite(&bare, &Weights::default()).unwrap_err().to_string();
     assert!(e.contains("isosurface"), "{e}");
+}
+
+/// Without layers the picture is the same to the bit; they are left out where no output takes them.
+#[test]
+fn layers_are_made_for_those_who_want_them() {
+    let frame = |without: bool| {
+        let mut session =
+            Session::new(Arc::new(Cpu::new(2).unwrap()), scene(EVERYTHING), Some([0.0, 1.0]), false).unwrap();
+        if without {
+            session.leave_out_layers();
+        }
+        session.advance(balls(16)).unwrap().frames.remove(0).frame
+    };
+    let (with, without) = (frame(false), frame(true));
+    assert!(with.layer("sss").is_some() && without.layers.is_empty());
+    let bits = |f: &Frame| f.pixels.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
+    assert_eq!(bits(&with), bits(&without));
+
+    let folder = tempfile::tempdir().unwrap();
+    let options = gloaming::sink::SinkOptions { steps: 1, ..Default::default() };
+    for (name, takes) in [("a.exr", true), ("a.png", false), ("a.mp4", false), ("a.vtkhdf", false), ("a.raw", false)] {
+        let path = folder.path().join(name).display().to_string();
+        assert_eq!(gloaming::sink::open(&path, &options).unwrap().wants_layers(), takes, "{name}");
+    }
 }
 
 /// The environment times albedo, over a plane that nothing shades.

@@ -94,6 +94,22 @@ fn exr_holds_every_bit_and_says_what_it_is() {
     assert_eq!(software, format!("gloaming {}", env!("CARGO_PKG_VERSION")));
 }
 
+/// Another picture of the same step says the same of itself, also in the place of the first.
+#[test]
+fn an_exr_keeps_what_another_says_of_its_step() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = open(folder.path(), "f_{step}.exr", &options(&["left"], 1));
+    sink.write(&output(7, Some(0.1), vec![view("left", frame([9, 5], 0.5))])).unwrap();
+    let path = folder.path().join("f_7.exr");
+    let header = || exr::meta::MetaData::read_from_file(&path, true).unwrap().headers[0].own_attributes.clone();
+    let before = header();
+    assert!(before.other.len() > 6);
+    let attributes = sink::exr::Attributes::of(&path).unwrap();
+    attributes.write(&path, &frame([4, 3], 2.0)).unwrap();
+    assert_eq!(header(), before);
+    assert_eq!(sink::exr::read(&path).unwrap(), frame([4, 3], 2.0));
+}
+
 #[test]
 fn exr_holds_the_further_layers_of_a_frame() {
     let folder = tempfile::tempdir().unwrap();

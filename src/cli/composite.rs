@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use gloaming::frame::Display;
 use gloaming::render::isosurface::{Weights, composite};
 use gloaming::scene::{Blend, Scene};
-use gloaming::sink::exr;
+use gloaming::sink::exr::{self, Attributes};
 
 /// Weigh the layers of an isosurface picture anew
 #[derive(Args)]
@@ -22,7 +22,8 @@ pub struct CompositeArgs {
     /// The frame with its layers
     #[arg(value_name = "FRAME.exr")]
     frame: PathBuf,
-    /// Where the picture goes: .png with background, exposure and tone map, or scene-linear .exr with all layers
+    /// Where the picture goes: .png with background, exposure and tone map, or scene-linear .exr with all layers and what FRAME.exr says
+    /// of its step, time and camera
     #[arg(long, value_name = "PATH")]
     out: Vec<PathBuf>,
     /// Factor on diffuse light
@@ -91,9 +92,10 @@ pub fn run(args: &CompositeArgs) -> anyhow::Result<()> {
         }),
     };
     let frame = composite(&exr::read(&args.frame)?, &weights).with_context(|| args.frame.display().to_string())?;
+    let attributes = Attributes::of(&args.frame)?;
     for path in &args.out {
         match path.extension().and_then(|e| e.to_str()) {
-            Some("exr") => exr::write_frame(path, &frame)?,
+            Some("exr") => attributes.write(path, &frame)?,
             Some("png") => {
                 Display::from(&scene.render).picture(&frame).save(path).with_context(|| path.display().to_string())?
             }

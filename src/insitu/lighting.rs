@@ -99,6 +99,9 @@ fn set_up(opening: Opening, queue: Arc<Queue>) -> Result<(Lighting, Writing)> {
     };
     let wants_light = all.iter().any(|s| s.wants_light());
     let mut session = Session::new(device, scene, None, wants_light)?;
+    if !all.iter().any(|s| s.wants_layers()) {
+        session.leave_out_layers();
+    }
     session.count_before(keys.steps_before);
     if let Some(kept) = kept {
         session.start_from(kept);

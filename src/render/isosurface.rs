@@ -32,7 +32,7 @@ use crate::transfer::TransferFunction;
 mod layers;
 mod sky;
 
-use layers::{Sheet, Wanted};
+use layers::{Picture, Sheet, Wanted};
 pub use layers::{Weights, composite};
 use sky::Sky;
 
@@ -47,6 +47,8 @@ pub struct Isosurface {
     sky: Option<Sky>,
     /// What is opaque.
     opaque: Option<surfaces::Surfaces>,
+    /// Whether frames hold layers.
+    layers: bool,
     /// True when it was said that no value of a step reaches a surface.
     said: AtomicBool,
 }
@@ -130,6 +132,7 @@ impl Isosurface {
             colors: colors.map(linear).to_vec(),
             sky,
             opaque: geometry.map(surfaces::Surfaces::new),
+            layers: true,
             said: AtomicBool::new(false),
             light,
             keys,
@@ -207,6 +210,7 @@ impl Renderer for Isosurface {
     ) -> Result<Frame> {
         let (counts, antialias) = self.counts();
         let wanted = Wanted {
+            layers: self.layers,
             environment: self.light != SurfaceLight::Volume && self.sky.is_some(),
             volume: self.light != SurfaceLight::Environment,
             sss: self.keys.sss != SssKey::None,
@@ -220,7 +224,7 @@ impl Renderer for Isosurface {
         let solids = self.surfaces(medium);
         self.look_for(medium, &solids);
         if medium.grid.is_empty() {
-            return Ok(layers::frame(size, &[vec![Sheet::default(); size[0] * size[1]]], wanted));
+            return Ok(Picture::new(size, wanted).done());
         }
         let values: Vec<f32> = solids.iter().map(|s| s.value).collect();
         let empty = match medium.ranges.len() == medium.bricks.len() {
@@ -242,13 +246,15 @@ impl Renderer for Isosurface {
         };
         let passes =
             Passes { of: self, device, medium, light, surfaces, counts, antialias, wanted, texels: texels.as_ref() };
-        let mut sheets = vec![vec![Sheet::default(); size[0] * size[1]]];
+        let mut seen = Picture::new(size, wanted);
         // Whole pixels at a time.
         let rows = (BAND / picture[0].max(1)).max(1).next_multiple_of(antialias);
         for first in (0..picture[1]).step_by(rows) {
             let pixels = first * picture[0]..(first + rows).min(picture[1]) * picture[0];
+            let blank = || vec![Sheet::default(); pixels.len() / (antialias * antialias)];
+            let mut sheets = vec![blank()];
             let ends = Ends::new(self.opaque.as_ref(), camera, picture, &pixels);
-            let mut rays: Vec<Hit> = pixels.map(|p| Hit::ray(p as u32)).collect();
+            let mut rays: Vec<Hit> = pixels.clone().map(|p| Hit::ray(p as u32)).collect();
             // Behind the last transparent surface may be something opaque.
             for k in 0..self.keys.layers + usize::from(self.opaque.is_some()) {
                 match k < self.keys.layers {
@@ -261,13 +267,14 @@ impl Renderer for Isosurface {
                     break;
                 }
                 if sheets.len() == k {
-                    sheets.push(vec![Sheet::default(); size[0] * size[1]]);
+                    sheets.push(blank());
                 }
                 let found = passes.all(&rays, k as u32)?;
                 let opaque = passes.opaque(&ended, k as u32)?;
                 let met = rays.iter().map(|hit| hit.pixel).zip(&found);
                 for (pixel, sheet) in met.chain(ended.iter().map(|(pixel, _)| *pixel).zip(&opaque)) {
-                    let [x, y] = [pixel as usize % picture[0], pixel as usize / picture[0]].map(|c| c / antialias);
+                    let pixel = pixel as usize - pixels.start;
+                    let [x, y] = [pixel % picture[0], pixel / picture[0]].map(|c| c / antialias);
                     sheets[k][y * size[0] + x].add(sheet);
                 }
                 let mut shows = found.iter().map(|s| s.weight < 1.0 && s.sss[3] == 0.0);
@@ -276,9 +283,14 @@ impl Renderer for Isosurface {
                     break;
                 }
             }
+            sheets.iter_mut().flatten().for_each(|sheet| sheet.finish(antialias * antialias));
+            seen.take(&sheets);
         }
-        sheets.iter_mut().flatten().for_each(|sheet| sheet.finish(antialias * antialias));
-        Ok(layers::frame(size, &sheets, wanted))
+        Ok(seen.done())
+    }
+
+    fn leave_out_layers(&mut self) {
+        self.layers = false;
     }
 
     fn needs_light(&self) -> bool {

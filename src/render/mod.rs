@@ -83,6 +83,9 @@ pub trait Renderer: Send {
         true
     }
 
+    /// From now on frames need hold no layers.
+    fn leave_out_layers(&mut self) {}
+
     /// False when pictures do not depend on its scattered light.
     fn needs_scattered_light(&self) -> bool {
         true

@@ -17,6 +17,7 @@
 
 use std::path::{Path, PathBuf};
 
+use exr::meta::MetaData;
 use exr::meta::attribute::AttributeValue;
 use exr::prelude::*;
 
@@ -62,6 +63,30 @@ fn write(path: &Path, output: &Output, view: &View, options: &SinkOptions) -> Re
 /// Writes a picture and its further layers, without the attributes of a step.
 pub fn write_frame(path: &Path, frame: &Frame) -> Result<()> {
     write_with(path, frame, LayerAttributes::default())
+}
+
+/// The attributes of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attributes(LayerAttributes);
+
+impl Attributes {
+    /// Those of the picture that [`read`] takes from a file.
+    ///
+    /// # Errors
+    /// As [`read`].
+    pub fn of(path: &Path) -> Result<Attributes> {
+        let meta = MetaData::read_from_file(path, false).map_err(|e| named(path, e))?;
+        let first = meta.headers.into_iter().next();
+        Ok(Attributes(first.map(|header| header.own_attributes).unwrap_or_default()))
+    }
+
+    /// Writes a picture and its further layers with these attributes.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::Format`].
+    pub fn write(&self, path: &Path, frame: &Frame) -> Result<()> {
+        write_with(path, frame, self.0.clone())
+    }
 }
 
 fn write_with(path: &Path, frame: &Frame, attributes: LayerAttributes) -> Result<()> {

@@ -91,6 +91,11 @@ pub trait Sink: Send {
         true
     }
 
+    /// True when the sink takes the layers of frames.
+    fn wants_layers(&self) -> bool {
+        true
+    }
+
     /// The files that hold a step of their own, for resuming: a step whose files all exist need not be written again.
     /// Empty for sinks that put all steps into one file.
     fn paths(&self, step: u64) -> Vec<PathBuf> {

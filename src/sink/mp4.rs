@@ -120,6 +120,10 @@ impl Sink for Mp4 {
         Ok(())
     }
 
+    fn wants_layers(&self) -> bool {
+        false
+    }
+
     fn finish(&mut self) -> Result<()> {
         let stayed = self.pace.stayed.max(1);
         let last = |m: &mut Movie| m.held.take().map_or(Ok(()), |held| m.add(&held, stayed));

@@ -63,6 +63,10 @@ impl Sink for Png {
         Ok(())
     }
 
+    fn wants_layers(&self) -> bool {
+        false
+    }
+
     fn finish(&mut self) -> Result<()> {
         Ok(())
     }

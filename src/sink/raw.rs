@@ -56,6 +56,10 @@ impl Sink for Raw {
         describe(&series, self.grids.values(), true)
     }
 
+    fn wants_layers(&self) -> bool {
+        false
+    }
+
     fn finish(&mut self) -> Result<()> {
         Ok(())
     }

@@ -65,6 +65,10 @@ impl Sink for VtkHdf {
         written.map_err(|e| self.failed(e))
     }
 
+    fn wants_layers(&self) -> bool {
+        false
+    }
+
     fn finish(&mut self) -> Result<()> {
         let Some(series) = self.series.take() else { return Ok(()) };
         let steps = series.steps.len();

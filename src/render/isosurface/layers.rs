@@ -142,9 +142,10 @@ impl Sheet {
     }
 }
 
-/// Which layers are left out.
+/// Whether there are layers, and which of them are left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Wanted {
+    pub layers: bool,
     pub environment: bool,
     pub volume: bool,
     pub sss: bool,
@@ -161,28 +162,57 @@ impl Wanted {
     }
 }
 
-/// The picture, and the layers that it is made of; `sheets` holds for each surface along the rays a sheet for each pixel.
-pub(super) fn frame(size: [usize; 2], sheets: &[Vec<Sheet>], wanted: Wanted) -> Frame {
-    let mut frame = Frame::new(size);
-    frame.layers = sheets
-        .iter()
-        .enumerate()
-        .flat_map(|(k, sheet)| {
+/// A picture as its bands come in, and the layers that it is made of where somebody wants them.
+pub(super) struct Picture {
+    frame: Frame,
+    wanted: Wanted,
+    /// Number of the next pixel.
+    next: usize,
+}
+
+impl Picture {
+    pub fn new(size: [usize; 2], wanted: Wanted) -> Self {
+        let mut picture = Picture { frame: Frame::new(size), wanted, next: 0 };
+        picture.layers(0);
+        picture
+    }
+
+    /// Adds the layers of a surface along the rays, if they are wanted.
+    fn layers(&mut self, surface: usize) {
+        let pixels = self.frame.pixels.len();
+        let wanted = NAMES.iter().filter(|(name, _)| self.wanted.layers && self.wanted.holds(name));
+        self.frame.layers.extend(wanted.map(|(name, channels)| Layer {
+            name: numbered(name, surface),
+            channels: (*channels).into(),
+            values: vec![0.0; pixels * channels.len()],
+        }));
+    }
+
+    /// Takes in the next pixels: for each surface along the rays a sheet for each of them.
+    pub fn take(&mut self, sheets: &[Vec<Sheet>]) {
+        let pixels = blend(sheets, &Weights::default());
+        let wanted = if self.wanted.layers { sheets } else { &[] };
+        for (k, sheet) in wanted.iter().enumerate() {
+            if self.frame.layer(&numbered(NAMES[0].0, k)).is_none() {
+                self.layers(k);
+            }
             let mut first = 0;
-            NAMES.iter().filter_map(move |(name, channels)| {
-                let at = first..first + channels.len();
-                first = at.end;
-                let values = || sheet.iter().flat_map(|s| s.values()[at.clone()].to_vec()).collect();
-                wanted.holds(name).then(|| Layer {
-                    name: numbered(name, k),
-                    channels: (*channels).into(),
-                    values: values(),
-                })
-            })
-        })
-        .collect();
-    frame.pixels = blend(size, sheets, &Weights::default());
-    frame
+            for (name, channels) in NAMES {
+                let (width, name) = (channels.len(), numbered(name, k));
+                if let Some(layer) = self.frame.layers.iter_mut().find(|layer| layer.name == name) {
+                    let values = layer.values[width * self.next..].chunks_exact_mut(width);
+                    values.zip(sheet).for_each(|(to, s)| to.copy_from_slice(&s.values()[first..first + width]));
+                }
+                first += width;
+            }
+        }
+        self.frame.pixels[self.next..self.next + pixels.len()].copy_from_slice(&pixels);
+        self.next += pixels.len();
+    }
+
+    pub fn done(self) -> Frame {
+        self.frame
+    }
 }
 
 fn numbered(name: &str, surface: usize) -> String {
@@ -206,7 +236,7 @@ pub fn composite(frame: &Frame, weights: &Weights) -> Result<Frame> {
             if names.is_empty() { "none".into() } else { names.join(", ") }
         )));
     }
-    let pixels = blend(frame.size, &sheets, weights);
+    let pixels = blend(&sheets, weights);
     Ok(Frame { pixels, ..frame.clone() })
 }
 
@@ -235,8 +265,8 @@ fn sheet(frame: &Frame, surface: usize) -> Result<Vec<Sheet>> {
 }
 
 /// The equation above.
-fn blend(size: [usize; 2], sheets: &[Vec<Sheet>], weights: &Weights) -> Vec<[f32; 4]> {
-    (0..size[0] * size[1])
+fn blend(sheets: &[Vec<Sheet>], weights: &Weights) -> Vec<[f32; 4]> {
+    (0..sheets[0].len())
         .map(|pixel| {
             // Radiance and coverage of what is behind, over the part that it covers, and that part.
             let (mut behind, mut part) = ([0.0f32; 4], 0.0f32);
