@@ -86,6 +86,9 @@ fn main() {
         tolerance: 1e-3,
         warm: false,
         scattering_on: true,
+        everywhere: true,
+        passes: None,
+        until: None,
     };
     let start = Instant::now();
     let report = solution.solve(&device, &problem).unwrap();

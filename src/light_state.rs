@@ -56,7 +56,13 @@ impl About {
             let said = |g: &Grid| format!("{:?} with spacing {:?} and origin {:?}", g.size, g.spacing, g.origin);
             return Some(format!("it is of a grid of {}, the data's is {}", said(&self.grid), said(grid)));
         }
-        let keys = |keys: &SolverKeys| SolverKeys { tolerance: 0.0, budget_ms: None, warm: true, ..keys.clone() };
+        let keys = |keys: &SolverKeys| SolverKeys {
+            tolerance: 0.0,
+            passes: None,
+            budget_ms: None,
+            warm: true,
+            ..keys.clone()
+        };
         if keys(&self.light) != keys(&scene.light) {
             return Some("it was solved with other settings under [light]".into());
         }

@@ -90,7 +90,8 @@ fn physical(scene: &Scene, lights: &[Light], channels: usize) -> (u64, u64) {
         return (direct, 0);
     }
     let glows = !scene.transfer.emission.is_empty();
-    (direct, Scattered::volumes(channels, glows, scene.transfer.anisotropy) as u64 + sources + opaque)
+    let scattered = Scattered::volumes(channels, sources as usize, glows, scene.transfer.anisotropy) as u64;
+    (direct, scattered + opaque)
 }
 
 /// True where a light is in one place.
@@ -194,7 +195,9 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
     // Other small volumes stay in memory too, up to a quarter of it.
     let small = |size: [u64; 3]| values(size) * Paged::SMALL <= least * 4 / 3;
     let kept = |size: [u64; 3], count: u64| if small(size) { values(size) * count } else { 0 };
-    let kept = kept(data, 2) + kept(light, 2 + lights) + kept(coarse, lights + volumes);
+    // Those of the medium's box may be of any size.
+    let boxed = if volumes > 0 { least / 3 } else { 0 };
+    let kept = boxed + kept(data, 2) + kept(light, 2 + lights) + kept(coarse, lights + volumes);
     // A hundredth more for what rounding adds.
     Ok((4 * (least + kept.min(least / 3))).div_ceil(100) * 101)
 }

@@ -135,7 +135,7 @@ impl Way {
         let mut scene = scene.clone();
         (scene.light.warm, scene.light.tolerance) = (warm, tolerance);
         // Both ways go to the same certified tolerance, however many iterations the scene gives a step.
-        (scene.light.iterations, scene.light.budget_ms) = (10_000, None);
+        (scene.light.iterations, scene.light.passes, scene.light.budget_ms) = (10_000, None, None);
         Ok(Way { solver: LightSolver::new(device, &scene, grid)?, light: LightVolume::default() })
     }
 

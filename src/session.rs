@@ -103,7 +103,6 @@ impl Session {
     /// the scene leaves it to the series; `None` lets the range grow with the steps seen so far.
     pub fn new(device: Arc<dyn Device>, scene: Scene, range: Option<[f64; 2]>, wants_light: bool) -> Result<Self> {
         scene.validate()?;
-        LightSolver::check(&scene.light)?;
         let geometry = Geometry::load(&scene.meshes)?.map(Arc::new);
         let range = match scene.field.range {
             RangeKey::Fixed(range) => Some(range),

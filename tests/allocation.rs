@@ -105,7 +105,7 @@ fn a_step_takes_no_volume_that_was_not_there() {
         let distant = lights.iter().filter(|l| matches!(l, lights::Light::Distant { .. })).count();
         let scattered = if scene.light.scattering {
             let gray = more.contains(&"transfer.colormap=white") && scene.lights.len() == 1;
-            Scattered::volumes(if gray { 1 } else { 3 }, false, scene.transfer.anisotropy) + distant
+            Scattered::volumes(if gray { 1 } else { 3 }, distant, false, scene.transfer.anisotropy)
         } else {
             0
         };

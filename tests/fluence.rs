@@ -3,7 +3,7 @@
 use glam::DVec3;
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device, Sweep, Travel};
-use gloaming::light::ordinates::{ScatterProblem, Scattered};
+use gloaming::light::ordinates::{ScatterProblem, Scattered, forward};
 use gloaming::{BrickLayout, Grid};
 
 #[path = "common/monte_carlo.rs"]
@@ -67,7 +67,7 @@ fn traced(case: &Case, g: f64) -> Fluence {
 fn solved(device: &dyn Device, case: &Case, g: f64, directions: usize) -> Vec<f64> {
     let grid = |n: usize| Grid { spacing: [1.0 / n as f64; 3], ..Grid::new([n; 3]) };
     let (fine, coarse) = (grid(2 * N), grid(N));
-    let scaled = 1.0 - case.albedo * g * g;
+    let scaled = 1.0 - case.albedo * f64::from(forward(g as f32));
     // Mean over a voxel by 3³ samples.
     let extinction = |i: usize| {
         let n = 2 * N;
@@ -107,6 +107,9 @@ fn solved(device: &dyn Device, case: &Case, g: f64, directions: usize) -> Vec<f6
         tolerance: 1e-3,
         warm: false,
         scattering_on: true,
+        everywhere: true,
+        passes: None,
+        until: None,
     };
     let report = solution.solve(device, &problem).unwrap();
     assert!(report.converged, "{report:?}");

@@ -12,7 +12,7 @@ use gloaming::device::{
 };
 use gloaming::field::{Dense, Timestep};
 use gloaming::frame::Frame;
-use gloaming::grid::{BrickLayout, Slab};
+use gloaming::grid::{BrickLayout, Region, Slab};
 use gloaming::insitu::{InSitu, Stats};
 use gloaming::ledger::{self, LedgerRow};
 use gloaming::scene::Scene;
@@ -105,6 +105,15 @@ impl Device for Faulty {
     fn transport(&self, t: &Transport, phi: &mut Buffer, current: Option<[&mut Buffer; 3]>) -> Result<(f32, f32)> {
         self.inner.transport(t, phi, current)
     }
+    fn resize(&self, buffer: &mut Buffer, len: usize) -> Result<()> {
+        self.inner.resize(buffer, len)
+    }
+    fn crop(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        self.inner.crop(size, values, region, out)
+    }
+    fn embed(&self, region: Region, values: &Buffer, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        self.inner.embed(region, values, size, out)
+    }
     // Lights in a place and the paper's model, which no test here asks for.
     fn sweep_point(
         &self,
@@ -144,8 +153,8 @@ impl Device for Faulty {
     fn residual(&self, _: [usize; 3], _: [f32; 3], _: &Buffer, _: &Buffer, _: &mut Buffer) -> Result<f32> {
         unreachable!()
     }
-    fn prolong(&self, _: [usize; 3], _: &Buffer, _: [usize; 3], _: &mut Buffer) -> Result<()> {
-        unreachable!()
+    fn prolong_slab(&self, coarse: &Slab, values: &Buffer, fine: &Slab, into: &mut Buffer) -> Result<()> {
+        self.inner.prolong_slab(coarse, values, fine, into)
     }
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {
         self.inner.compose(terms, out)

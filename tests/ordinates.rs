@@ -4,8 +4,8 @@ use glam::Vec3;
 use gloaming::Grid;
 use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device, Ordinate, SourceTerm, Sweep, Transport, Travel};
-use gloaming::light::ordinates::{ScatterProblem, ScatterReport, Scattered, Start, ordinates};
-use gloaming::{BrickLayout, Error};
+use gloaming::light::ordinates::{ScatterProblem, ScatterReport, Scattered, Start, forward, ordinates};
+use gloaming::{BrickLayout, Error, Region};
 
 fn upload(device: &dyn Device, values: &[f32]) -> Buffer {
     let mut buffer = device.alloc(values.len()).unwrap();
@@ -199,7 +199,7 @@ struct Setting {
 impl Setting {
     /// `sigma` is unscaled; direct light falls off with depth.
     fn new(device: &dyn Device, grid: Grid, sigma: &[f32], albedo: f32, anisotropy: f32) -> Self {
-        let f = anisotropy * anisotropy;
+        let f = forward(anisotropy);
         let scaled: Vec<f32> = sigma.iter().map(|s| s * (1.0 - albedo * f)).collect();
         let scattering: Vec<f32> = sigma.iter().map(|s| s * albedo).collect();
         let n = grid.size[0];
@@ -216,8 +216,8 @@ impl Setting {
         }
     }
 
-    fn solve(&self, device: &dyn Device, solution: &mut Scattered, tolerance: f32, warm: bool) -> ScatterReport {
-        let problem = ScatterProblem {
+    fn problem<T>(&self, tolerance: f32, warm: bool, run: impl FnOnce(ScatterProblem) -> T) -> T {
+        run(ScatterProblem {
             sigma: &self.sigma,
             scattering: &self.scattering,
             emission: &self.emission,
@@ -229,8 +229,14 @@ impl Setting {
             tolerance,
             warm,
             scattering_on: true,
-        };
-        solution.solve(device, &problem).unwrap()
+            everywhere: true,
+            passes: None,
+            until: None,
+        })
+    }
+
+    fn solve(&self, device: &dyn Device, solution: &mut Scattered, tolerance: f32, warm: bool) -> ScatterReport {
+        self.problem(tolerance, warm, |problem| solution.solve(device, &problem).unwrap())
     }
 
     fn fresh(&self, device: &dyn Device) -> Scattered {
@@ -341,9 +347,15 @@ fn emitted_light_is_absorbed_or_leaks() {
 fn certified_error_bounds_the_true_error() {
     let device = Cpu::new(2).unwrap();
     let grid = cube(24);
-    for (extinction, albedo, g) in
-        [(20.0, 0.5, 0.0), (20.0, 0.9, 0.5), (30.0, 0.99, 0.0), (30.0, 1.0, 0.0), (20.0, 0.99, 0.3), (20.0, 0.9, 0.85)]
-    {
+    for (extinction, albedo, g) in [
+        (20.0, 0.5, 0.0),
+        (20.0, 0.9, 0.5),
+        (30.0, 0.99, 0.0),
+        (30.0, 1.0, 0.0),
+        (20.0, 0.99, 0.3),
+        (20.0, 0.9, 0.85),
+        (20.0, 0.9, -0.5),
+    ] {
         let sigma = ball(&grid, Vec3::splat(0.5), extinction);
         let setting = Setting::new(&device, grid, &sigma, albedo, g);
         let mut tight = setting.fresh(&device);
@@ -389,6 +401,123 @@ fn warm_is_cold_within_the_certified_error_and_cheaper() {
     println!("{warm_work} voxel updates against {cold_work}, {extrapolated} of 24 extrapolated");
     assert!(10 * warm_work < 6 * cold_work, "{warm_work} voxel updates against {cold_work}");
     assert!(extrapolated > 12, "{extrapolated} of 24");
+}
+
+/// Around a medium with a layer of nothing radiance goes on as it came: a pass over such a box is the pass over the grid.
+#[test]
+fn a_pass_over_the_box_of_the_medium_gives_the_bits_of_one_over_the_grid() {
+    let device = Cpu::new(2).unwrap();
+    let grid = Grid { size: [50, 37, 41], spacing: [0.9, 1.1, 1.0], origin: [0.0; 3] };
+    // At two of the grid's faces the medium ends with the grid.
+    let region = Region { start: [7, 0, 9], size: [33, 30, 32] };
+    let mut fields: [Vec<f32>; 5] = std::array::from_fn(|f| noise(grid.len(), f as u64 + 70));
+    for k in 0..grid.size[2] {
+        for j in 0..grid.size[1] {
+            for i in 0..grid.size[0] {
+                let inside = (8..39).contains(&i) && j < 29 && k >= 10;
+                if !inside {
+                    fields.iter_mut().for_each(|f| f[grid.index([i, j, k])] = 0.0);
+                }
+            }
+        }
+    }
+    let cropped = |values: &[f32]| {
+        let mut out = device.alloc(region.len()).unwrap();
+        device.crop(grid.size, &upload(&device, values), region, &mut out).unwrap();
+        download(&device, &out)
+    };
+    let own = Grid { size: region.size, ..grid };
+    let ordinates: Vec<Ordinate> = directions().into_iter().map(|o| Ordinate { inflow: 0.3, ..o }).collect();
+    for (scale, count) in [(0.2, 2), (3.0, 5)] {
+        let mut fields = fields.clone();
+        fields[0].iter_mut().for_each(|s| *s *= scale);
+        let small: Vec<Vec<f32>> = fields.iter().map(|f| cropped(f)).collect();
+        let [large, small] = [&fields[..], &small].map(|f| f[..count].iter().map(|f| &f[..]).collect::<Vec<_>>());
+        let (whole, _) = pass(&device, &grid, &ordinates, &large, large[0]);
+        let (part, _) = pass(&device, &own, &ordinates, &small, small[0]);
+        for (whole, part) in whole.iter().zip(&part) {
+            assert!(cropped(whole) == *part, "{count} fields");
+        }
+        // And the way back.
+        let mut back = device.alloc(grid.len()).unwrap();
+        device.embed(region, &upload(&device, small[1]), grid.size, &mut back).unwrap();
+        assert!(download(&device, &back) == large[1]);
+    }
+}
+
+/// A medium in a corner of the grid is iterated on there alone. With a breath of it in the farthest corner too, which nobody could tell
+/// from nothing, the light is the same everywhere, and costs several times as much.
+#[test]
+fn empty_space_around_the_medium_is_passed_once() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(32);
+    for (g, environment) in [(0.0, 0.0), (0.5, 0.2)] {
+        let run = |breath: f32| {
+            let mut sigma: Vec<f32> = ball(&grid, Vec3::splat(0.25), 40.0);
+            for k in 0..grid.size[2] {
+                for j in 0..grid.size[1] {
+                    for i in 0..grid.size[0] {
+                        if [i, j, k].into_iter().max() >= Some(16) {
+                            sigma[grid.index([i, j, k])] = 0.0;
+                        }
+                    }
+                }
+            }
+            *sigma.last_mut().unwrap() = breath;
+            let mut setting = Setting::new(&device, grid, &sigma, 0.9, g);
+            setting.environment = [environment; 3];
+            let mut solution = setting.fresh(&device);
+            let report = setting.solve(&device, &mut solution, 1e-3, true);
+            assert!(report.converged && report.certified_error <= 1e-3, "{report:?}");
+            (report, download(&device, solution.fluence()[0].0))
+        };
+        let ((boxed, light), (whole, same)) = (run(0.0), run(1e-9));
+        let off = f64::from(furthest(&light, &same) / largest(&same));
+        assert!(off <= boxed.certified_error + whole.certified_error, "{off}");
+        let [few, many] = [boxed, whole].map(|r| r.voxel_updates as f64);
+        assert!(few < 0.35 * many, "{few} against {many}: {boxed:?} {whole:?}");
+    }
+}
+
+/// However little a step may spend, what is left goes on in the next one.
+#[test]
+fn a_budget_is_kept_and_carried_on() {
+    let device = Cpu::new(2).unwrap();
+    let grid = cube(20);
+    let setting = Setting::new(&device, grid, &ball(&grid, Vec3::splat(0.4), 20.0), 0.9, 0.0);
+    let mut tight = setting.fresh(&device);
+    setting.solve(&device, &mut tight, 1e-5, false);
+    let truth = download(&device, tight.fluence()[0].0);
+    let scale = largest(&truth).max(1.0);
+    for passes in [2, 3, 5] {
+        let mut solution = setting.fresh(&device);
+        let mut errors = vec![];
+        for _ in 0..60 {
+            let report = setting.problem(1e-3, true, |problem| {
+                solution.solve(&device, &ScatterProblem { passes: Some(passes), ..problem }).unwrap()
+            });
+            assert!(report.iterations <= passes, "{report:?}");
+            assert_eq!(report.converged, report.certified_error <= 1e-3, "{report:?}");
+            let off = f64::from(furthest(&download(&device, solution.fluence()[0].0), &truth) / scale);
+            assert!(off <= report.certified_error + 1e-5, "{off}: {report:?}");
+            errors.push(report.certified_error);
+            if report.converged {
+                break;
+            }
+        }
+        assert!(errors[0] > 1e-3 && errors[errors.len() - 1] <= 1e-3, "{passes} passes: {errors:?}");
+        assert!(errors[1] < 0.9 * errors[0], "{passes} passes: {errors:?}");
+    }
+    // No time at all is two passes, time enough is as if there were no end.
+    for (ms, unfinished) in [(0, true), (100_000, false)] {
+        let mut solution = setting.fresh(&device);
+        let report = setting.problem(1e-3, true, |problem| {
+            let until = std::time::Instant::now() + std::time::Duration::from_millis(ms);
+            solution.solve(&device, &ScatterProblem { until: Some(until), ..problem }).unwrap()
+        });
+        assert_eq!(report.converged, !unfinished, "{report:?}");
+        assert!(!unfinished || report.iterations <= 2, "{report:?}");
+    }
 }
 
 /// At tolerance 0 earlier steps leave no trace.
@@ -480,6 +609,9 @@ fn without_scattering_only_the_environment_remains() {
         tolerance: 1e-3,
         warm: true,
         scattering_on: false,
+        everywhere: true,
+        passes: None,
+        until: None,
     };
     let mut solution = setting.fresh(&device);
     let report = solution.solve(&device, &problem).unwrap();
@@ -534,6 +666,9 @@ fn scattered_light_of_the_reference_scene() {
         tolerance: 1e-4,
         warm: false,
         scattering_on: true,
+        everywhere: true,
+        passes: None,
+        until: None,
     };
     let mut solution = setting.fresh(&device);
     let report = solution.solve(&device, &problem).unwrap();

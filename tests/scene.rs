@@ -164,6 +164,7 @@ fn values_outside_their_range_name_the_key_the_line_and_what_is_allowed() {
         ("[light]\nsigma_s = [1, -1, 1]", "light.sigma_s", "0 or more"),
         ("[light]\niterations = 0", "light.iterations", "from 1"),
         ("[light]\niterations = -5", "light.iterations", "from 1"),
+        ("[light]\npasses = 1", "light.passes", "from 2"),
         ("[light]\nbudget_ms = 0", "light.budget_ms", "above 0"),
         ("[light]\ntolerance = -1e-3", "light.tolerance", "1e-6 to 1"),
         ("[light]\ntolerance = 1e-9", "light.tolerance", "1e-6 to 1"),

@@ -223,3 +223,37 @@ fn certified_errors_bound_true_errors_of_all_light() {
         println!("{sets:?}: largest true error {worst:.1e}");
     }
 }
+
+/// `light.passes` and `light.budget_ms`: a step that stands still goes on with what was left, until nothing is, and then costs a look.
+#[test]
+fn what_a_budget_leaves_is_carried_to_the_next_step() {
+    let cpu = Cpu::new(2).unwrap();
+    let grid = Grid { size: [22, 20, 24], spacing: [1.0; 3], origin: [0.0; 3] };
+    for (sets, once) in [("light.passes=3", false), ("light.budget_ms=1e-3", false), ("light.budget_ms=1e5", true)] {
+        let sets = ["transfer.albedo=0.95", "transfer.colormap=white", "light.directions=8", sets].map(String::from);
+        let scene = Scene::load(None, &sets).unwrap();
+        let transfer = TransferFunction::new(&scene.transfer).unwrap();
+        let mut medium_now = Medium::new(&cpu, grid, transfer.table([0.0, 0.6], 1.0)).unwrap();
+        medium_now.remember(&cpu).unwrap();
+        let (mut solver, mut light) = (LightSolver::new(&cpu, &scene, &grid).unwrap(), LightVolume::default());
+        let lights = lights::resolve(&scene).unwrap();
+        let mut reports = vec![];
+        for step in 0..80 {
+            let field = Arc::new(Dense::new(grid.size, medium(&grid, 0.0)));
+            medium_now.take(&cpu, &Timestep { step, time: None, grid, field }).unwrap();
+            medium_now.classify(transfer.table([0.0, 0.6], 1.0));
+            let report = solver.solve(&cpu, &medium_now, &lights, &mut light).unwrap();
+            assert_eq!(report.converged, report.certified_error <= 1e-3, "{report:?}");
+            assert!(!sets[3].contains("passes") || report.iterations <= 3, "{report:?}");
+            let rests = report.iterations == 0;
+            reports.push(report);
+            if rests {
+                break;
+            }
+        }
+        let (last, first) = (reports.last().unwrap(), &reports[0]);
+        assert!(last.iterations == 0 && last.converged, "{sets:?}: {last:?}");
+        assert_eq!(first.converged, once, "{sets:?}: {first:?}");
+        assert_eq!(reports.len() == 2, once, "{sets:?}: {} steps", reports.len());
+    }
+}

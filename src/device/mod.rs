@@ -10,7 +10,7 @@ use std::sync::Arc;
 use crate::error::{Error, Result};
 use crate::field::{self, Field};
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Grid, Slab};
+use crate::grid::{BrickLayout, Grid, Region, Slab};
 use crate::transfer::Table;
 use convection::{Convected, Convection, Layers};
 use surface::{Beauty, Hit, Occlusion, Samples, Subsurface, Surfaces};
@@ -260,7 +260,12 @@ pub trait Device: Send + Sync {
     ) -> Result<f32>;
 
     /// Adds a coarser grid of the same box to a finer one: trilinear between its values, constant beyond the outermost.
-    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()>;
+    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
+        self.prolong_slab(&Slab::whole(coarse), values, &Slab::whole(size), into)
+    }
+
+    /// The same for a slab of the finer grid: `values` holds a slab of the coarser one that reaches beyond all of it.
+    fn prolong_slab(&self, coarse: &Slab, values: &Buffer, fine: &Slab, into: &mut Buffer) -> Result<()>;
 
     /// `Σ weight·values` into `out`: zeros without terms, a copy with one term of weight 1.
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
@@ -482,6 +487,30 @@ pub trait Device: Send + Sync {
             tallies[row.clone()].copy_from_slice(&whole[row]);
         }
         Ok(traced)
+    }
+
+    /// Makes a buffer hold `len` values, which mean nothing yet. Within the number that it was made for, memory is not taken anew.
+    fn resize(&self, buffer: &mut Buffer, len: usize) -> Result<()> {
+        if buffer.len() != len {
+            *buffer = self.alloc(len)?;
+        }
+        Ok(())
+    }
+
+    /// The values of a region of a volume of `size`, as a volume of their own.
+    fn crop(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        let (mut host, mut cropped) = (vec![0.0; size.iter().product()], vec![0.0; region.len()]);
+        self.download(values, &mut host)?;
+        cpu::crop::crop(size, &host, region, &mut cropped);
+        self.upload(&cropped, out)
+    }
+
+    /// The way back from [`Device::crop`]: a volume of `size` that is 0 outside the region.
+    fn embed(&self, region: Region, values: &Buffer, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        let (mut host, mut whole) = (vec![0.0; region.len()], vec![0.0; size.iter().product()]);
+        self.download(values, &mut host)?;
+        cpu::crop::embed(region, &host, size, &mut whole);
+        self.upload(&whole, out)
     }
 }
 

@@ -10,6 +10,4 @@ pub struct Passage {
     pub given: bool,
     /// The sums hold what the other ordinates have left, and are added to.
     pub added: bool,
-    /// Largest extinction of the whole grid.
-    pub densest: f32,
 }

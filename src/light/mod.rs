@@ -13,7 +13,7 @@ use crate::geometry::Geometry;
 use crate::grid::{BrickLayout, Grid};
 use crate::lights::Light;
 use crate::medium::Medium;
-use crate::scene::{Model, Scene, SolverKeys};
+use crate::scene::{Model, Scene};
 
 mod direct;
 pub mod ordinates;
@@ -85,7 +85,7 @@ pub struct SolveReport {
     pub bricks_culled: u64,
     /// Bound on the error of the fluence against a cold solve, relative to the unattenuated light.
     pub certified_error: f64,
-    /// False when scattered light, or an iteration of the paper's model, stopped at its limit.
+    /// False when scattered light, or an iteration of the paper's model, stopped at its limit or at the end of its budget.
     pub converged: bool,
 }
 
@@ -107,23 +107,11 @@ enum Solver {
 }
 
 impl LightSolver {
-    /// Refuses what this version does not solve.
-    pub fn check(keys: &SolverKeys) -> Result<()> {
-        if keys.budget_ms.is_some() && keys.model == Model::Physical {
-            return Err(Error::Unsupported(
-                "light.budget_ms with light.model = \"physical\": that model solves to light.tolerance; \"paper\" has a budget"
-                    .into(),
-            ));
-        }
-        Ok(())
-    }
-
     /// Allocates a solver for data on `data`.
     ///
     /// # Errors
-    /// Those of [`LightSolver::check`], and what the device says of the memory.
+    /// What the device says of the memory.
     pub fn new(device: &dyn Device, scene: &Scene, data: &Grid) -> Result<Self> {
-        Self::check(&scene.light)?;
         Ok(LightSolver(match scene.light.model {
             Model::Physical => Solver::Physical(Box::new(Physical::new(device, scene, data)?)),
             Model::Paper => Solver::Paper(Box::new(Paper::new(device, scene, data)?)),
@@ -156,8 +144,9 @@ impl LightSolver {
         }
     }
 
-    /// Leaves out direct light that no picture can show, where nothing scatters it on: that of bricks without visible medium from
-    /// which it reaches none. [`LightSolver::illuminated`] holds old or no light there.
+    /// Leaves out light that no picture of the medium can show: direct light, where nothing scatters it on, of bricks without visible
+    /// medium from which it reaches none, and scattered light outside the box of the medium. [`LightSolver::illuminated`] holds
+    /// old or no light there.
     pub fn only_visible(&mut self, only: bool) {
         if let Solver::Physical(solver) = &mut self.0 {
             solver.only_visible(only);

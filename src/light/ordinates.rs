@@ -3,7 +3,7 @@
 //! `Ω·∇I + σ* I = σ* S`, `S = ω*/4π · [φ + ΣE_l + 3g* Ω·(J + ΣE_l u_l)] + emission`, `φ = Σ w I`, `J = Σ w Ω I`
 //!
 //! with delta-Eddington scaling (Joseph, Wiscombe & Weinman 1976, eq. 5–6) `f = g²`, `σ* = σ_t (1 − ωf)`,
-//! `ω* = ω(1 − f)/(1 − ωf)`, `g* = g/(1 + g)`. The direct light E_l is given; what is solved for is the scattered light and
+//! `ω* = ω(1 − f)/(1 − ωf)`, `g* = (g − f)/(1 − f)`; f = 0 for g < 0 ([`forward`]). The direct light E_l is given; what is solved for is the scattered light and
 //! the uncollided light of the environment and of emission.
 //!
 //! # When to stop
@@ -12,7 +12,7 @@
 //! so a change of S by at most s changes I by at most s. With `R = ‖δφ‖ + 3g*‖δJ‖` (maximum norm) the change that a pass
 //! made, Φ(x) differs from the solution by at most
 //!
-//! `ω R / (1 − κω)`, ω the largest ω*, `κ = max_Ω Σ_Ω' w'/4π |1 + 3g* Ω·Ω'|` (1 unless g > ½),
+//! `ω R / (1 − κω)`, ω the largest ω*, `κ = max_Ω Σ_Ω' w'/4π |1 + 3g* Ω·Ω'|` (1 unless g > ½ or g < −⅓),
 //!
 //! however x was found, so acceleration and guesses need no proof of their own. Where ω* comes near 1 that is too
 //! pessimistic, for light also leaks out: then u = Φ(u) is solved roughly for a unit fluence of first collisions
@@ -20,11 +20,19 @@
 //! M-matrix; needs |3g*| ≤ 1). Certified errors are relative to the largest of φ and ΣE_l, up to rounding; they bound the
 //! distance from the solution of the discrete equations, not that of the grid or the directions.
 //!
+//! # Where
+//!
+//! Where there is no extinction nothing is emitted, and radiance goes on as it came. Iterations run in the box of the medium
+//! alone, to the same bits, and what errors there may be outside stem from those inside; a last pass finds the light of the
+//! whole grid.
+//!
 //! # Known weaknesses
 //!
 //! Rays show near tiny bright sources. A medium that is dense right up to the faces of the box loses too much light there,
 //! to first order in the spacing: 7 % of the fluence of a cube of τ 16 and ω .99 that fills 32³ voxels, 2 % with a quarter
 //! of the box empty around it (both against Monte Carlo). Emission where there is no extinction at all is not carried.
+
+use std::time::Instant;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -34,12 +42,19 @@ use crate::error::Result;
 use crate::grid::Grid;
 
 mod anderson;
+mod budget;
+mod coarse;
 mod equation;
+mod inside;
 mod iterate;
 mod quadrature;
 
 use anderson::Anderson;
-use equation::{Equation, Residual, State, Work};
+use budget::Budget;
+use coarse::Coarse;
+use equation::{Equation, Residual, State};
+use inside::{Inside, Whole};
+use iterate::Means;
 pub use quadrature::{cells, ordinates};
 
 /// What scattered light is solved for. All volumes are on the grid of [`Scattered`].
@@ -67,6 +82,12 @@ pub struct ScatterProblem<'a> {
     pub warm: bool,
     /// False: only the uncollided light of the environment.
     pub scattering_on: bool,
+    /// False: the light is needed in the medium and beside it alone, and may be left out elsewhere.
+    pub everywhere: bool,
+    /// Passes at most, for each channel; at least 2, as the last one goes over the whole grid where light is needed everywhere.
+    pub passes: Option<u64>,
+    /// When to end, converged or not; two passes are made however short the time.
+    pub until: Option<Instant>,
 }
 
 /// What a solve started from.
@@ -86,9 +107,9 @@ pub enum Start {
 pub struct ScatterReport {
     /// Passes of the channel that took most, those of rejected guesses and of the error bound included.
     pub iterations: u64,
-    /// Sweeps over the grid: passes × directions, all channels.
+    /// Sweeps over the grid: passes × directions, all channels; those over the box of the medium by its share.
     pub sweeps: f64,
-    /// Voxel updates: passes × (directions + 1 for the source function), all channels.
+    /// Voxel updates: passes × (directions + 1 for the source function), all channels, and looking for the medium.
     pub voxel_updates: u64,
     /// Bound on the error of the fluence, relative to the largest fluence; infinite where no bound is known.
     pub certified_error: f64,
@@ -103,18 +124,20 @@ pub struct Scattered {
     grid: Grid,
     anisotropy: f32,
     channels: Vec<Channel>,
-    optics: Optics,
-    work: Work,
-    states: [State; 3],
-    anderson: Anderson,
-    ones: Option<Buffer>,
-}
-
-/// Delta-scaled optics of the channel at work, continued past the edges of the medium.
-struct Optics {
+    /// σ* of the channel at work, continued past the edges of the medium, and scratch.
     sigma: Buffer,
-    scattering: Buffer,
-    emission: Buffer,
+    room: [Buffer; 2],
+    /// Scratch: the source function of the grid, and a state of it.
+    whole: State,
+    inside: Inside,
+    /// In the box of the medium, as what follows.
+    source: State,
+    states: [State; 3],
+    /// False where the latest solution is 0 outside the box of the medium.
+    everywhere: bool,
+    anderson: Anderson,
+    coarse: Coarse,
+    ones: Option<Buffer>,
 }
 
 /// One colour channel: its latest solutions.
@@ -140,6 +163,12 @@ pub(super) struct KeptChannel {
 /// Names of a channel's volumes.
 const STATES: [&str; 3] = ["solution", "before", "majorant"];
 
+/// The share of what is scattered that delta-Eddington scaling counts as going straight on: g² where scattering is forward. A
+/// peak that goes back is none that goes on: there S is linear in the cosine with the whole of g.
+pub fn forward(g: f32) -> f32 {
+    if g > 0.0 { g * g } else { 0.0 }
+}
+
 /// A bound R ↦ gain·R on the error of Φ(x).
 #[derive(Debug, Clone, Copy)]
 struct Certificate {
@@ -162,31 +191,41 @@ impl Scattered {
             grid,
             anisotropy,
             channels: (0..channels).map(channel).collect::<Result<_>>()?,
-            optics: Optics {
-                sigma: device.alloc(grid.len())?,
-                scattering: device.alloc(grid.len())?,
-                emission: device.alloc(grid.len())?,
-            },
-            work: Work::new(device, grid.len(), anisotropy != 0.0)?,
+            sigma: device.alloc(grid.len())?,
+            room: [device.alloc(grid.len())?, device.alloc(grid.len())?],
+            whole: state()?,
+            inside: Inside::new(device, &grid)?,
+            source: state()?,
             states: [state()?, state()?, state()?],
-            anderson: Anderson::default(),
+            everywhere: true,
+            anderson: Anderson::new(grid.len()),
+            coarse: Coarse::new(device, &grid)?,
             ones: None,
         })
     }
 
-    /// Volumes that are held at most for `channels` colour channels, those of the problem included but for the lights'.
-    pub fn volumes(channels: usize, glows: bool, anisotropy: f32) -> usize {
-        // The latest two solutions of each channel and its bound; those at work, their source, and what is mixed.
-        let states = 3 * channels + 3 + 1 + 2 * anderson::DEPTH;
+    /// Volumes that are held at most for `channels` colour channels and the direct light of `lights` lights, those of the problem
+    /// included. Those that iterations work on are as large as the medium's box.
+    pub fn volumes(channels: usize, lights: usize, glows: bool, anisotropy: f32) -> usize {
+        // The latest two solutions of each channel and its bound; those at work, their source, and what is mixed; the source of
+        // the whole grid.
+        let states = 3 * channels + 3 + 1 + 2 * anderson::DEPTH + 1;
         let parts = if anisotropy != 0.0 { 4 } else { 1 };
-        // Extinction, scattering and emission as they are and continued past their edges; ones.
-        let optics = 1 + channels * (1 + usize::from(glows)) + 3 + 1;
-        states * parts + optics
+        // Extinction, scattering and emission as they are and in the box; extinction continued past its edges, and two more of
+        // scratch; ones.
+        let optics = 1 + channels * (1 + usize::from(glows)) + 2 + usize::from(glows) + 3 + 1;
+        // Coarse grids take an eighth each.
+        states * parts + optics + 2 * lights + 1
     }
 
     /// True when the kept solution is on this grid with as many channels and the same g.
     pub fn fits(&self, grid: &Grid, channels: usize, anisotropy: f32) -> bool {
         self.grid == *grid && self.channels.len() == channels && self.anisotropy == anisotropy
+    }
+
+    /// False where the latest solution is left out outside the medium.
+    pub fn is_everywhere(&self) -> bool {
+        self.everywhere
     }
 
     /// Solves for scattered light.
@@ -196,9 +235,16 @@ impl Scattered {
     /// in the report.
     pub fn solve(&mut self, device: &dyn Device, problem: &ScatterProblem) -> Result<ScatterReport> {
         let mut report = ScatterReport { converged: true, ..Default::default() };
+        if problem.scattering_on {
+            self.inside.find(device, &self.grid, problem.sigma)?;
+            report.voxel_updates += self.grid.len() as u64;
+            let len = self.inside.grid.len();
+            self.inside.fit(device, problem)?;
+            self.states.iter_mut().chain([&mut self.source]).try_for_each(|s| s.resize(device, len))?;
+        }
         for channel in 0..self.channels.len() {
             if let Some((like, ratio)) = multiple(device, problem, channel)? {
-                let staged = &mut self.states[0];
+                let staged = &mut self.whole;
                 staged.combine(device, &[(&self.channels[like].solution, ratio)])?;
                 let known = self.channels[like].known;
                 let Channel { solution, before, .. } = &mut self.channels[channel];
@@ -215,8 +261,8 @@ impl Scattered {
             report.certified_error = report.certified_error.max(done.certified_error);
             report.converged &= done.converged;
             report.start = done.start;
-            report.sweeps += (done.iterations as usize * set.len()) as f64;
-            report.voxel_updates += done.iterations * (set.len() as u64 + 1) * self.grid.len() as u64;
+            report.sweeps += done.sweeps;
+            report.voxel_updates += done.voxel_updates;
         }
         Ok(report)
     }
@@ -229,49 +275,57 @@ impl Scattered {
         set: &[Ordinate],
     ) -> Result<ScatterReport> {
         let g = problem.anisotropy;
-        let linear = 3.0 * g / (1.0 + g);
-        let Scattered { grid, channels, optics, work, states: [x, value, other], anderson, ones, .. } = self;
+        let linear = 3.0 * (g - forward(g)) / (1.0 - forward(g));
+        let over_the_grid = (set.len() * self.grid.len()) as u64;
+        self.prepare(device, problem, channel)?;
+        let Scattered { grid, channels, sigma, whole, inside, source, anderson, coarse, ones, .. } = self;
+        let [x, value, other] = &mut self.states;
         let Channel { solution, before, known, majorant, won } = &mut channels[channel];
+        if !problem.scattering_on || inside.grid.is_empty() {
+            // Nothing but what enters.
+            whole.combine(device, &[])?;
+            let (_, peak) = equation::pass(device, (grid, set), sigma, whole, before)?;
+            std::mem::swap(before, solution);
+            *known = if problem.scattering_on { (*known + 1).min(2) } else { 0 };
+            *won = None;
+            self.everywhere = true;
+            return Ok(ScatterReport {
+                iterations: 1,
+                sweeps: set.len() as f64,
+                voxel_updates: over_the_grid,
+                converged: peak.is_finite(),
+                ..Default::default()
+            });
+        }
         // A colour channel with extinction of its own has sweeps of its own.
-        let first: Vec<_> = problem.first.iter().map(|(t, e, u)| (*t, e[channel], *u)).filter(|f| f.1 != 0.0).collect();
-        let emission = problem.emission.get(channel);
-        optics.prepare(
+        let lit = |e: &[f32; 3]| e[channel] != 0.0;
+        let light: Vec<_> = problem.first.iter().filter(|f| lit(&f.1)).map(|(t, e, _)| (*t, e[channel])).collect();
+        let first = problem.first.iter().zip(&inside.first).filter(|(f, _)| lit(&f.1));
+        let first: Vec<_> = first.map(|((_, e, u), cropped)| (cropped, e[channel], *u)).collect();
+        let equation = Equation {
             device,
-            grid,
-            problem.sigma,
-            (&problem.scattering[channel], 1.0 - g * g),
-            problem.chromatic[channel],
-            emission,
-            &mut x.phi,
-        )?;
-        let mut equation = Equation {
-            device,
-            grid,
+            grid: &inside.grid,
             ordinates: set,
-            sigma: &optics.sigma,
-            scattering: problem.scattering_on.then_some(&optics.scattering),
-            emission: emission.map(|_| &optics.emission),
+            sigma: &inside.sigma,
+            scattering: &inside.scattering,
+            emission: (!problem.emission.is_empty()).then_some(&inside.emission),
             first: &first,
             linear,
         };
-        x.combine(device, &[])?;
-        if !problem.scattering_on {
-            equation.apply(x, solution, work)?;
-            *known = 0;
-            return Ok(ScatterReport { iterations: 1, converged: true, ..Default::default() });
-        }
-        let mut passes = 0;
-        let albedo = f64::from(device.largest_ratio(&optics.scattering, &optics.sigma)?);
+        let (size, region) = (grid.size, inside.region);
+        let (mut passes, mut over) = (0, 0);
+        let share = inside.grid.len() as f64 / grid.len() as f64;
+        let mut budget = Budget::new(problem.passes, problem.until, 1.0 / share);
+        coarse.take(device, inside, linear / 3.0)?;
+        let albedo = f64::from(device.largest_ratio(&inside.scattering, &inside.sigma)?);
         let mut certificate = contraction(albedo, set, linear);
         if certificate.gain >= LARGE_GAIN && linear.abs() <= 1.0 {
             let ones = match ones {
                 Some(ones) => ones,
-                None => {
-                    let mut buffer = device.alloc(grid.len())?;
-                    device.fill(1.0, &mut buffer)?;
-                    ones.insert(buffer)
-                }
+                None => ones.insert(device.alloc(grid.len())?),
             };
+            device.resize(ones, inside.grid.len())?;
+            device.fill(1.0, ones)?;
             let vacuum: Vec<_> = set.iter().map(|o| Ordinate { inflow: 0.0, ..*o }).collect();
             let unit = [(&*ones, 1.0, Travel::Along(Vec3::ZERO))];
             let bound = Equation { ordinates: &vacuum, emission: None, first: &unit, ..equation };
@@ -279,23 +333,26 @@ impl Scattered {
                 Some(kept) => kept,
                 None => majorant.insert(State::new(device, grid.len(), linear != 0.0)?),
             };
-            let residual = bound.apply(kept, value, work)?;
+            x.crop(device, kept, size, region)?;
+            let residual = bound.apply(x, value, source)?;
             anderson.clear();
-            anderson.take(device, kept, value)?;
-            let done = iterate::iterate(&bound, kept, value, residual, (anderson, work), |_| 0.5)?;
+            anderson.take(device, x, value, Some(coarse))?;
+            let mut half = budget.part(0.5);
+            half.spent();
+            let means = Means { anderson, source, coarse: Some(coarse), whole: None, budget: &mut half };
+            let done = iterate::iterate(&bound, x, value, residual, means, |_| 0.5)?;
             passes += 1 + done.passes;
+            (0..passes).for_each(|_| budget.spent());
             if done.residual.change < 1.0 {
                 let gain = done.residual.peak / (1.0 - done.residual.change);
                 certificate = Certificate { gain: gain.min(certificate.gain), rigorous: true };
             }
-            std::mem::swap(kept, value);
-            equation = Equation { ordinates: set, ..equation };
+            kept.embed(device, value, region, size)?;
         }
 
-        x.combine(device, &[])?;
-        let light: Vec<_> = first.iter().map(|(t, e, _)| (*t, *e)).collect();
-        device.combine(&light, &mut value.phi)?;
-        let direct = f64::from(device.distance(&value.phi, &x.phi)?);
+        device.combine(&light, &mut whole.phi)?;
+        device.combine(&[], &mut self.room[0])?;
+        let direct = f64::from(device.distance(&whole.phi, &self.room[0])?);
         let scale = |peak: f64| direct.max(peak).max(f64::MIN_POSITIVE);
         let tolerance = f64::from(problem.tolerance);
         let target = |peak: f64| tolerance * scale(peak) / certificate.gain.max(f64::MIN_POSITIVE);
@@ -311,40 +368,89 @@ impl Scattered {
         anderson.clear();
         for &guess in guesses {
             match guess {
-                Start::Cold => {}
-                Start::Previous => x.combine(device, &[(solution, 1.0)])?,
-                Start::Extrapolated => x.combine(device, &[(solution, 2.0), (before, -1.0)])?,
+                Start::Cold => x.combine(device, &[])?,
+                Start::Previous => x.crop(device, solution, size, region)?,
+                Start::Extrapolated => {
+                    whole.combine(device, &[(solution, 2.0), (before, -1.0)])?;
+                    x.crop(device, whole, size, region)?;
+                }
             }
-            let residual = equation.apply(x, value, work)?;
+            let residual = equation.apply(x, value, source)?;
             passes += 1;
-            // A guess that loses still helps the mixture.
-            anderson.take(device, x, value)?;
+            budget.spent();
+            let done = residual.change <= target(residual.peak);
+            if !done {
+                // A guess that loses still helps the mixture.
+                anderson.take(device, x, value, Some(coarse))?;
+            }
             if best.is_none_or(|(b, _)| residual.change < b.change) {
                 best = Some((residual, guess));
                 std::mem::swap(value, other);
             }
             // The other guess costs a pass too: it is tried only when the one that won last does worse than it did then.
             let as_usual = won.is_some_and(|(w, r)| w == guess && residual.change <= 1.5 * r * scale(residual.peak));
-            if as_usual || residual.change <= target(residual.peak) {
+            if as_usual || done || !budget.allows(problem.everywhere) {
                 break;
             }
         }
         let (residual, start) = best.expect("there is a guess");
         std::mem::swap(value, other);
         *won = (*known == 2).then(|| (start, residual.change / scale(residual.peak)));
-        let done = iterate::iterate(&equation, x, value, residual, (anderson, work), target)?;
+        let boxed = !inside.is_all_of(grid);
+        let beyond = (boxed && problem.everywhere).then(|| Whole { grid, region, sigma, source: whole, out: before });
+        let means = Means { anderson, source, coarse: Some(coarse), whole: beyond, budget: &mut budget };
+        let done = iterate::iterate(&equation, x, value, residual, means, target)?;
         passes += done.passes;
+        over += done.whole;
+        if boxed && !problem.everywhere {
+            before.embed(device, value, region, size)?;
+        }
         std::mem::swap(before, solution);
-        std::mem::swap(solution, value);
+        if !boxed {
+            std::mem::swap(solution, value);
+        }
+        self.everywhere = problem.everywhere || !boxed;
         *known = (*known + 1).min(2);
         let bound = certificate.gain * done.residual.change / scale(done.residual.peak);
+        let (within, pass) = (passes - over, set.len() as u64 + 1);
         Ok(ScatterReport {
             iterations: passes,
+            sweeps: (within as f64 * share + over as f64) * set.len() as f64,
+            voxel_updates: (within * inside.grid.len() as u64 + over * grid.len() as u64) * pass + coarse.updates,
             certified_error: if certificate.rigorous { bound } else { f64::INFINITY },
             converged: done.converged,
             start,
-            ..Default::default()
         })
+    }
+
+    /// Makes the optics of a channel, continued past the edges of the medium, in its box.
+    fn prepare(&mut self, device: &dyn Device, problem: &ScatterProblem, channel: usize) -> Result<()> {
+        let Scattered { grid: Grid { size, .. }, sigma, room: [scaled, extended], inside, .. } = self;
+        let (size, region, chromatic) = (*size, inside.region, problem.chromatic[channel]);
+        if chromatic == 1.0 {
+            device.extend(size, problem.sigma, problem.sigma, sigma)?;
+        } else {
+            device.combine(&[(problem.sigma, chromatic)], scaled)?;
+            device.extend(size, problem.sigma, scaled, sigma)?;
+        }
+        if !problem.scattering_on {
+            return Ok(());
+        }
+        device.crop(size, sigma, region, &mut inside.sigma)?;
+        let g = problem.anisotropy;
+        device.combine(&[(&problem.scattering[channel], (1.0 - forward(g)) * chromatic)], scaled)?;
+        device.extend(size, problem.sigma, scaled, extended)?;
+        device.crop(size, extended, region, &mut inside.scattering)?;
+        if let Some(emission) = problem.emission.get(channel) {
+            device.extend(size, problem.sigma, emission, extended)?;
+            device.crop(size, extended, region, &mut inside.emission)?;
+        }
+        for ((light, factors, _), cropped) in problem.first.iter().zip(&mut inside.first) {
+            if factors[channel] != 0.0 {
+                device.crop(size, light, region, cropped)?;
+            }
+        }
+        Ok(())
     }
 
     /// What a later solve may start from: what is known of each channel, and its volumes, for a file.
@@ -370,11 +476,13 @@ impl Scattered {
         &mut self,
         device: &dyn Device,
         kept: &[KeptChannel],
+        everywhere: bool,
         mut take: impl FnMut(&str) -> Option<Vec<f32>>,
     ) -> Result<bool> {
         if kept.len() != self.channels.len() {
             return Ok(false);
         }
+        self.everywhere = everywhere;
         let linear = self.anisotropy != 0.0;
         for (c, (channel, kept)) in self.channels.iter_mut().zip(kept).enumerate() {
             if kept.majorant {
@@ -423,32 +531,6 @@ impl Scattered {
             [weight; 3]
         } else {
             std::array::from_fn(|rgb| if rgb == c { weight } else { 0.0 })
-        }
-    }
-}
-
-impl Optics {
-    fn prepare(
-        &mut self,
-        device: &dyn Device,
-        grid: &Grid,
-        sigma: &Buffer,
-        (scattering, scale): (&Buffer, f32),
-        chromatic: f32,
-        emission: Option<&Buffer>,
-        scratch: &mut Buffer,
-    ) -> Result<()> {
-        if chromatic == 1.0 {
-            device.extend(grid.size, sigma, sigma, &mut self.sigma)?;
-        } else {
-            device.combine(&[(sigma, chromatic)], scratch)?;
-            device.extend(grid.size, sigma, scratch, &mut self.sigma)?;
-        }
-        device.combine(&[(scattering, scale * chromatic)], scratch)?;
-        device.extend(grid.size, sigma, scratch, &mut self.scattering)?;
-        match emission {
-            Some(emission) => device.extend(grid.size, sigma, emission, &mut self.emission),
-            None => Ok(()),
         }
     }
 }

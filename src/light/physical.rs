@@ -1,11 +1,12 @@
 //! The physical model: direct light by short characteristics, multiple scattering by first-collision-source ordinates.
 
 use std::f64::consts::PI;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use super::direct::{Direct, Rays};
-use super::ordinates::{KeptChannel, ScatterProblem, Scattered, cells};
+use super::ordinates::{KeptChannel, ScatterProblem, Scattered, cells, forward};
 use super::{IlluminatedVolume, SolveReport, Touched};
 use crate::device::{Buffer, Device, Lamp, Optic, Term, Travel, Weight};
 use crate::error::{Error, Result};
@@ -131,6 +132,13 @@ struct Kept {
     sources: usize,
     chromatic: [f32; 3],
     scattered: Option<Vec<KeptChannel>>,
+    /// False where scattered light was left out outside the medium.
+    #[serde(default = "yes")]
+    everywhere: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// Optics and first-collision light on the grid of scattered light.
@@ -171,11 +179,12 @@ impl Physical {
         lights: &[Light],
         volume: &mut Unknowns,
     ) -> Result<SolveReport> {
+        let begun = Instant::now();
         let mut report = SolveReport { converged: true, ..Default::default() };
         self.sigma.swap(0, 1);
         let [now, before] = &mut self.sigma;
         // With multiple scattering the forward peak counts as unscattered (delta-Eddington), in what the eye sees too.
-        let f = if self.keys.scattering { self.anisotropy * self.anisotropy } else { 0.0 };
+        let f = if self.keys.scattering { forward(self.anisotropy) } else { 0.0 };
         let optic = if f == 0.0 { Optic::Extinction } else { Optic::ScaledExtinction { f } };
         medium.property(device, optic, self.grid.size, now)?;
         if let Some(Opaque { fine: [things, sum], .. }) = &mut self.opaque {
@@ -207,13 +216,17 @@ impl Physical {
         }
         let same_lights = warm && volume.lights == lights;
         let still = change.is_some_and(|c| c.iter().all(|c| *c == [0.0; 3])) && volume.lights == lights;
-        if still && volume.scattered.is_some() && self.still(device, medium, &mut report)? {
+        // What a budget has left unfinished goes on where it may: at tolerance 0 every step is as a cold one.
+        let limited = self.keys.passes.is_some() || self.keys.budget_ms.is_some();
+        let unfinished = limited && !volume.converged && self.keys.tolerance > 0.0;
+        let enough = volume.scattered.as_ref().is_some_and(|s| self.only_visible || s.is_everywhere());
+        if still && !unfinished && enough && self.still(device, medium, &mut report)? {
             report.certified_error += volume.certified;
             report.converged = volume.converged;
             volume.touched = Some((self.layout, touched));
         } else {
             let direct = report.certified_error;
-            self.scattered(device, medium, lights, warm, volume, &mut report)?;
+            self.scattered(device, medium, (lights, begun), warm, volume, &mut report)?;
             volume.certified = report.certified_error - direct;
             volume.converged = report.converged;
             volume.lights = lights.to_vec();
@@ -303,6 +316,7 @@ impl Physical {
             sources: volume.direct.len(),
             chromatic: volume.chromatic,
             scattered: volume.scattered.as_ref().map(|s| s.keep(device, volumes)).transpose()?,
+            everywhere: volume.scattered.as_ref().is_none_or(Scattered::is_everywhere),
         };
         Ok(Some(serde_json::to_value(kept).expect("numbers and lists")))
     }
@@ -335,7 +349,7 @@ impl Physical {
         volume.scattered = match kept.scattered {
             Some(channels) => {
                 let mut scattered = Scattered::new(device, self.coarse, channels.len(), self.anisotropy)?;
-                if !scattered.restore(device, &channels, take)? {
+                if !scattered.restore(device, &channels, kept.everywhere, take)? {
                     return Ok(false);
                 }
                 Some(scattered)
@@ -445,7 +459,7 @@ impl Physical {
         &mut self,
         device: &dyn Device,
         medium: &Medium,
-        lights: &[Light],
+        (lights, begun): (&[Light], Instant),
         warm: bool,
         volume: &mut Unknowns,
         report: &mut SolveReport,
@@ -458,7 +472,7 @@ impl Physical {
         let strengths = volume.direct.iter().map(|(source, _)| source.strength);
         let channels = if gray(medium, strengths.chain(environment.iter().copied())) { 1 } else { 3 };
         let glows = !medium.table.emission.is_empty();
-        let f = self.anisotropy * self.anisotropy;
+        let f = forward(self.anisotropy);
         let fits = |o: &Optics| {
             o.scattering.len() == channels && o.emission.is_empty() != glows && o.first.len() == volume.direct.len()
         };
@@ -506,6 +520,9 @@ impl Physical {
             tolerance: self.keys.tolerance,
             warm,
             scattering_on: self.keys.scattering,
+            everywhere: !self.only_visible,
+            passes: self.keys.passes.map(|p| p as u64),
+            until: self.keys.budget_ms.map(|ms| begun + Duration::from_secs_f64(ms * 1e-3)),
         };
         if volume.scattered.as_ref().is_none_or(|s| !s.fits(&self.coarse, channels, self.anisotropy)) {
             volume.scattered = Some(Scattered::new(device, self.coarse, channels, self.anisotropy)?);

@@ -80,6 +80,7 @@ pub(super) const KEYS: &[(&str, &str)] = &[
     ("light.opacity_scale", "\"calibrated\" or \"literal\""),
     ("light.convection", "\"layers\", \"volume\" or \"ordered\""),
     ("light.iterations", "an integer from 1 to 10000"),
+    ("light.passes", "an integer from 2 (one in the medium, one over the grid) to 10000"),
     ("light.budget_ms", "milliseconds above 0"),
     ("light.diffusion", "\"exact\", \"gauss-seidel\" or \"multigrid\""),
     ("light.falloff", "\"gaussian\" or \"physical\""),

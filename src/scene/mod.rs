@@ -344,8 +344,11 @@ pub struct SolverKeys {
     pub convection: ConvectionMethod,
     /// Iterations per layer and step at most (of the whole volume in `convection = "volume"`), paper model.
     pub iterations: usize,
-    /// Time for the light of a step in milliseconds, paper model: passes of `iterations` go on until the tolerance holds or
-    /// the time is used up, and in the next step from there.
+    /// Passes of scattered light at most for each step and colour channel, at least 2, physical model; what is left goes on
+    /// in the next step.
+    pub passes: Option<usize>,
+    /// Time for the light of a step in milliseconds: iterations go on until the tolerance holds or the time is used up, and in
+    /// the next step from there. In the physical model it ends scattered light alone, of which two passes are always made.
     pub budget_ms: Option<f64>,
     /// How diffusion is solved, paper model.
     pub diffusion: DiffusionMethod,
@@ -375,6 +378,7 @@ impl Default for SolverKeys {
             opacity_scale: OpacityScale::Calibrated,
             convection: ConvectionMethod::Layers,
             iterations: 5,
+            passes: None,
             budget_ms: None,
             diffusion: DiffusionMethod::Exact,
             falloff: Falloff::Gaussian,

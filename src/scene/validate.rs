@@ -210,6 +210,9 @@ fn solver(keys: &SolverKeys) -> Result<()> {
     require(matches!(keys.directions, 8 | 32 | 128), "light.directions", keys.directions)?;
     require(keys.sigma_s.into_iter().all(nonnegative), "light.sigma_s", keys.sigma_s)?;
     require((1..=10_000).contains(&keys.iterations), "light.iterations", keys.iterations)?;
+    if let Some(passes) = keys.passes {
+        require((2..=10_000).contains(&passes), "light.passes", passes)?;
+    }
     if let Some(budget) = keys.budget_ms {
         require(budget > 0.0 && budget.is_finite(), "light.budget_ms", budget)?;
     }

@@ -12,7 +12,7 @@ use crate::device::{
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Grid, Slab};
+use crate::grid::{BrickLayout, Grid, Region, Slab};
 use crate::transfer::Table;
 
 pub(crate) mod bricks;
@@ -21,6 +21,7 @@ pub(crate) mod classify;
 pub(crate) mod combine;
 mod compose;
 mod convect;
+pub(crate) mod crop;
 mod diffuse;
 pub(crate) mod extend;
 pub mod float;
@@ -29,7 +30,7 @@ pub(crate) mod gradient;
 mod irradiate;
 pub(crate) mod mapped;
 pub mod march;
-mod relax;
+pub(crate) mod relax;
 pub(crate) mod sample;
 mod shared;
 pub mod simd;
@@ -251,8 +252,8 @@ impl Device for Cpu {
         Ok(self.pool.install(|| relax::residual(size, coupling, host(rhs), host(values), host_mut(out))))
     }
 
-    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
-        self.pool.install(|| relax::prolong(coarse, host(values), size, host_mut(into)));
+    fn prolong_slab(&self, coarse: &Slab, values: &Buffer, fine: &Slab, into: &mut Buffer) -> Result<()> {
+        self.pool.install(|| relax::prolong(coarse, host(values), fine, host_mut(into)));
         Ok(())
     }
 
@@ -406,5 +407,28 @@ impl Device for Cpu {
 
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
         self.pool.install(work);
+    }
+
+    fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
+        host_mut(into).fill(value);
+        Ok(())
+    }
+
+    fn resize(&self, buffer: &mut Buffer, len: usize) -> Result<()> {
+        match &mut buffer.0 {
+            Storage::Host(values) => values.resize(len, 0.0),
+            _ => *buffer = self.alloc(len)?,
+        }
+        Ok(())
+    }
+
+    fn crop(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| crop::crop(size, host(values), region, host_mut(out)));
+        Ok(())
+    }
+
+    fn embed(&self, region: Region, values: &Buffer, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        self.pool.install(|| crop::embed(region, host(values), size, host_mut(out)));
+        Ok(())
     }
 }

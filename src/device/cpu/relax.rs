@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::shared::Shared;
 use super::simd::dispatch;
+use crate::grid::Slab;
 
 /// rhs, v → v relaxed where i + j + k has the parity of `colour`.
 pub(crate) fn relax(size: [usize; 3], coupling: [f32; 3], rhs: &[f32], values: &mut [f32], colour: usize) {
@@ -123,12 +124,12 @@ fn residual_body(
 }
 
 /// Adds a coarser grid of the same box to a finer one, trilinear between its values and constant beyond the outermost.
-pub(crate) fn prolong(coarse: [usize; 3], values: &[f32], size: [usize; 3], into: &mut [f32]) {
-    let [nx, ny, nz] = size;
+pub(crate) fn prolong(from: &Slab, values: &[f32], to: &Slab, into: &mut [f32]) {
+    let (coarse, [nx, ny, nz]) = (from.size, to.size);
     let columns: Vec<_> = (0..nx).map(|i| between(i, nx, coarse[0])).collect();
-    into[..nx * ny * nz].par_chunks_exact_mut(nx).enumerate().with_min_len(16).for_each(|(row, into)| {
-        let (y, z) = (between(row % ny, ny, coarse[1]), between(row / ny, nz, coarse[2]));
-        let line = |y: usize, z: usize| &values[(z * coarse[1] + y) * coarse[0]..][..coarse[0]];
+    into[..to.len()].par_chunks_exact_mut(nx).enumerate().with_min_len(16).for_each(|(row, into)| {
+        let (y, z) = (between(row % ny, ny, coarse[1]), between(to.planes.start + row / ny, nz, coarse[2]));
+        let line = |y: usize, z: usize| &values[((z - from.planes.start) * coarse[1] + y) * coarse[0]..][..coarse[0]];
         let lines = [line(y.0, z.0), line(y.1, z.0), line(y.0, z.1), line(y.1, z.1)];
         for (into, x) in into.iter_mut().zip(&columns) {
             let along = |line: &[f32]| line[x.0] + x.2 * (line[x.1] - line[x.0]);
@@ -140,7 +141,7 @@ pub(crate) fn prolong(coarse: [usize; 3], values: &[f32], size: [usize; 3], into
 }
 
 /// The two coarse values beside fine value i of n, and how far it is from the first to the second.
-fn between(i: usize, n: usize, coarse: usize) -> (usize, usize, f32) {
+pub(crate) fn between(i: usize, n: usize, coarse: usize) -> (usize, usize, f32) {
     let at = ((i as f32 + 0.5) * coarse as f32 / n as f32 - 0.5).clamp(0.0, (coarse - 1) as f32);
     let low = at as usize;
     (low, (low + 1).min(coarse - 1), at - low as f32)

@@ -9,7 +9,8 @@
 //! Ordinates that share dominant axis and direction of travel form a batch: σ and S are read once for all of them, and φ is
 //! updated once. Only the layer before is kept of I. A thread works on a band of rows for a block of layers and computes
 //! the rows beside its band that it needs again, so one join serves many layers and the result does not depend on the
-//! number of threads. Layers perpendicular to x are transposed on the way in and out, a cache line of x at a time.
+//! number of threads. How deep the steps of a row are at most decides by which formula they are taken; without extinction there is
+//! nothing but the interpolation, and where no light has come to either, not even that. Layers perpendicular to x are transposed on the way in and out, a cache line of x at a time.
 //!
 //! Ordinates that cross planes of z downwards come first, those that cross them upwards second, never both in a batch: so a
 //! grid may be passed slab by slab, each of the two ways once, and every sum is the same to the bit. What a slab leaves to the
@@ -141,8 +142,6 @@ struct Job<'a> {
     given: Option<&'a [f32]>,
     /// True when the sums hold nothing yet.
     first: bool,
-    /// True when no step is deeper than [`rows::THIN`].
-    thin: bool,
 }
 
 impl Job<'_> {
@@ -205,13 +204,12 @@ pub(super) fn transport(
     if voxels == 0 {
         return (0.0, 0.0);
     }
-    let densest = host(t.sigma)[..voxels].par_chunks(CHUNK).map(largest).reduce(|| 0.0, f32::max);
     let mut sum = std::mem::take(&mut kept.sum);
     sum.resize(voxels, 0.0);
     let mut sums: Vec<&mut [f32]> = vec![&mut sum];
     sums.extend(current.into_iter().flatten().map(|c| &mut c[..voxels]));
     for ascending in [false, true] {
-        let passage = Passage { ascending, given: false, added: ascending, densest };
+        let passage = Passage { ascending, given: false, added: ascending };
         pass(t, &passage, kept, (&[], &mut []), &mut sums);
     }
     let extremes = settle(sums[0], &mut phi[..voxels]);
@@ -250,8 +248,6 @@ fn pass(
         sums.iter_mut().for_each(|s| s.fill(0.0));
     }
     for (n, batch) in batches.iter().enumerate() {
-        let half = batch.feet.iter().fold(0.0f32, |m, f| m.max(f.half));
-        let thin = 2.0 * half * passage.densest <= rows::THIN;
         let given = passage.given.then(|| entry.split_off(..batch.lanes.len() * plane).expect("a face of every lane"));
         let carried = match exit.is_empty() {
             true => &mut [][..],
@@ -265,7 +261,6 @@ fn pass(
             entry: &[],
             given,
             first: n == 0 && !passage.added,
-            thin,
         };
         run(job, sums, kept, carried);
     }
@@ -375,17 +370,4 @@ fn extremes_body(now: &[f32], before: &[f32]) -> (f32, f32) {
     }
     let most = |v: [f32; WIDTH]| v.into_iter().fold(0.0, f32::max);
     (most(change), most(peak))
-}
-
-dispatch! {
-    fn largest(values: &[f32]) -> f32 = largest_body;
-}
-
-#[inline(always)]
-fn largest_body(values: &[f32]) -> f32 {
-    let mut most = [0.0f32; WIDTH];
-    for values in values.chunks(WIDTH) {
-        most.iter_mut().zip(values).for_each(|(m, v)| *m = m.max(*v));
-    }
-    most.into_iter().fold(0.0, f32::max)
 }

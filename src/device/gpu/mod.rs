@@ -15,7 +15,7 @@ use crate::device::{
 };
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Grid, Slab};
+use crate::grid::{BrickLayout, Grid, Region, Slab};
 use crate::transfer::Table;
 
 mod adapter;
@@ -25,6 +25,7 @@ mod clip;
 mod combine;
 mod compose;
 mod convect;
+mod crop;
 mod diffuse;
 mod extend;
 mod fronts;
@@ -477,8 +478,8 @@ impl Device for Gpu {
         relax::residual(self, size, coupling, rhs, values, out)
     }
 
-    fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
-        relax::prolong(self, coarse, values, size, into)
+    fn prolong_slab(&self, coarse: &Slab, values: &Buffer, fine: &Slab, into: &mut Buffer) -> Result<()> {
+        relax::prolong(self, coarse, values, fine, into)
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
@@ -510,6 +511,22 @@ impl Device for Gpu {
 
     fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
         extend::extend(self, size, sigma, values, out)
+    }
+
+    fn resize(&self, buffer: &mut Buffer, len: usize) -> Result<()> {
+        match &mut buffer.0 {
+            Storage::Gpu { buffer, len: held } if buffer.size() >= 4 * len as u64 => *held = len,
+            _ => *buffer = self.alloc(len)?,
+        }
+        Ok(())
+    }
+
+    fn crop(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        crop::crop(self, size, values, region, out)
+    }
+
+    fn embed(&self, region: Region, values: &Buffer, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        crop::embed(self, region, values, size, out)
     }
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {

@@ -8,6 +8,7 @@ use super::shader::{PROLONG, RELAX};
 use super::{Gpu, holds, uvec3};
 use crate::device::Buffer;
 use crate::error::Result;
+use crate::grid::Slab;
 
 #[derive(ShaderType)]
 pub(super) struct Relax {
@@ -19,7 +20,10 @@ pub(super) struct Relax {
 #[derive(ShaderType)]
 pub(super) struct Prolong {
     coarse: UVec3,
+    below: u32,
     size: UVec3,
+    first: u32,
+    planes: u32,
 }
 
 fn run(
@@ -63,14 +67,15 @@ pub(super) fn residual(
     Ok(gpu.values::<f32>(&largest, 1)?[0])
 }
 
-pub(super) fn prolong(
-    gpu: &Gpu,
-    coarse: [usize; 3],
-    values: &Buffer,
-    size: [usize; 3],
-    into: &mut Buffer,
-) -> Result<()> {
-    let params = gpu.uniform(&Prolong { coarse: uvec3(coarse), size: uvec3(size) })?;
-    let [values, into] = [holds(values, coarse.iter().product())?, holds(into, size.iter().product())?];
+pub(super) fn prolong(gpu: &Gpu, coarse: &Slab, values: &Buffer, fine: &Slab, into: &mut Buffer) -> Result<()> {
+    let params = gpu.uniform(&Prolong {
+        coarse: uvec3(coarse.size),
+        below: coarse.planes.start as u32,
+        size: uvec3(fine.size),
+        first: fine.planes.start as u32,
+        planes: fine.planes.len() as u32,
+    })?;
+    let [values, into] = [holds(values, coarse.len())?, holds(into, fine.len())?];
+    let size = [fine.size[0], fine.size[1], fine.planes.len()];
     gpu.run(&PROLONG, "prolong", &[("params", &params), ("values", values), ("into", into)], groups(size))
 }

@@ -10,8 +10,8 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, diffuse, extend, gradient, irradiate, march, relax, sample, slices, source, surface,
-    sweep, sweep_point, trace, transport,
+    bricks, classify, convect, crop, diffuse, extend, gradient, irradiate, march, relax, sample, slices, source,
+    surface, sweep, sweep_point, trace, transport,
 };
 use crate::error::{Error, Result};
 
@@ -73,6 +73,8 @@ pub static PROLONG: Shader = shader!("prolong", ["grid"], size_of::<relax::Prolo
 pub static COMBINE: Shader = shader!("combine", ["grid"], None);
 /// See `shaders/extend.wgsl`.
 pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params>());
+/// See `shaders/crop.wgsl`.
+pub static CROP: Shader = shader!("crop", ["grid"], size_of::<crop::Params>());
 /// See `shaders/compose.wgsl`.
 pub static COMPOSE: Shader = shader!("compose", ["grid"], None);
 /// See `shaders/sample.wgsl`.
@@ -131,6 +133,7 @@ pub fn shaders() -> Vec<&'static Shader> {
         &CONVECT,
         &COMBINE,
         &EXTEND,
+        &CROP,
         &COMPOSE,
         &SAMPLE,
         &MARCH,

@@ -23,7 +23,7 @@ use crate::device::{
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::Frame;
-use crate::grid::{BrickLayout, Grid, Slab};
+use crate::grid::{BrickLayout, Grid, Region, Slab};
 use crate::scene::ScratchKey;
 use crate::transfer::Table;
 
@@ -203,7 +203,6 @@ impl Paged {
 
     fn near_mut<'a>(&self, buffer: &'a mut Buffer) -> Result<&'a mut Buffer> {
         let store = store_mut(buffer);
-        store.largest.take();
         store.copy.take();
         if !matches!(store.content, Content::Resident(..)) {
             let (inner, held) = match store.near.take() {
@@ -546,7 +545,11 @@ impl Device for Paged {
     }
 
     fn prolong(&self, coarse: [usize; 3], values: &Buffer, size: [usize; 3], into: &mut Buffer) -> Result<()> {
-        self.whole(&[values], &mut [into], 0, |device, from, into| device.prolong(coarse, from[0], size, into[0]))
+        self.prolong_slabs(coarse, values, size, into)
+    }
+
+    fn prolong_slab(&self, _: &Slab, _: &Buffer, _: &Slab, _: &mut Buffer) -> Result<()> {
+        Err(Error::Unsupported("a slab of a volume that is paged already".into()))
     }
 
     fn combine(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {
@@ -731,6 +734,14 @@ impl Device for Paged {
 
     fn on_threads(&self, work: &mut (dyn FnMut() + Send)) {
         self.inner.on_threads(work);
+    }
+
+    fn crop(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        self.crop_slabs(size, values, region, out)
+    }
+
+    fn embed(&self, region: Region, values: &Buffer, size: [usize; 3], out: &mut Buffer) -> Result<()> {
+        self.embed_slabs(region, values, size, out)
     }
 }
 

@@ -3,11 +3,11 @@
 
 use std::ops::Range;
 
-use super::store::{Content, Store};
+use super::store::Content;
 use super::stream::Feed;
 use super::{Paged, slabs, store, store_mut};
 use crate::device::cpu::transport::extremes;
-use crate::device::{Buffer, Passage, SourceTerm, Storage, Sweep, Transport};
+use crate::device::{Buffer, Passage, SourceTerm, Sweep, Transport};
 use crate::error::Result;
 use crate::grid::Grid;
 
@@ -44,14 +44,6 @@ impl Paged {
         let upward = |o: &&crate::device::Ordinate| Sweep::new(t.grid, o.direction, false).ascending()[2];
         let up = t.ordinates.iter().filter(upward).count();
         let faces = up.max(t.ordinates.len() - up);
-        let densest = *match store(t.sigma).largest.get() {
-            Some(known) => known,
-            None => {
-                let zero = Buffer(Storage::Paged(Box::new(Store::new(len, Content::Zero))));
-                let largest = self.largest_of(t.sigma, &zero, |a, b| self.inner.distance(a, b))?;
-                store(t.sigma).largest.get_or_init(|| largest)
-            }
-        };
         // What the first pass leaves of φ and J, and the new φ: the old one is needed to the end.
         let mut sums = self.spares(parts + 1, len)?;
         let mut fresh = sums.pop().expect("one more than parts");
@@ -73,7 +65,7 @@ impl Paged {
                 source: fields[1],
                 gradient: t.gradient.map(|_| [fields[2], fields[3], fields[4]]),
             };
-            let passage = Passage { ascending, given: n > 0, added: ascending, densest };
+            let passage = Passage { ascending, given: n > 0, added: ascending };
             let [phi, current @ ..] = made else { unreachable!("φ is summed") };
             let current = match current {
                 [x, y, z] => Some([x, y, z]),

@@ -20,20 +20,17 @@ pub(crate) struct Store {
     pub(super) near: OnceLock<(Buffer, Held)>,
     /// A copy in a file of what is not in one that the host can look at, for the same.
     pub(super) copy: OnceLock<Scratch>,
-    /// The largest value, where it was asked for.
-    pub(super) largest: OnceLock<f32>,
 }
 
 impl Store {
     pub(super) fn new(len: usize, content: Content) -> Self {
-        Store { len, content, near: OnceLock::new(), copy: OnceLock::new(), largest: OnceLock::new() }
+        Store { len, content, near: OnceLock::new(), copy: OnceLock::new() }
     }
 
     /// Forgets what is known of values that will not stay.
     pub(super) fn forget(&mut self) {
         self.near.take();
         self.copy.take();
-        self.largest.take();
     }
 }
 

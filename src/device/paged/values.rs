@@ -6,8 +6,10 @@ use std::ops::Range;
 use super::store::Content;
 use super::stream::Feed;
 use super::{Paged, slabs, store, store_mut};
+use crate::device::cpu::relax::between;
 use crate::device::{Buffer, RUN};
 use crate::error::Result;
+use crate::grid::{Region, Slab};
 
 impl Paged {
     /// The volumes in the inner device's memory, where all of them are there.
@@ -79,6 +81,96 @@ impl Paged {
             }
             Ok(())
         })
+    }
+
+    /// See [`Device::crop`](crate::device::Device::crop).
+    pub(super) fn crop_slabs(&self, size: [usize; 3], values: &Buffer, region: Region, out: &mut Buffer) -> Result<()> {
+        let (from, into) = (store(values), store_mut(out));
+        self.prepare(into)?;
+        if let (Content::Resident(from, _), Content::Resident(into, _)) = (&from.content, &mut into.content) {
+            return self.inner.crop(size, from, region, into);
+        }
+        let [width, height, deep] = region.size;
+        let plane = width * height;
+        let depth = self.depth(deep, Feed::weight(from, size, size[2]) + plane as f64, 0.0)?;
+        let slabs = slabs(deep, depth);
+        let start = region.start[2];
+        let planes = slabs.iter().map(|s| start + s.start..start + s.end).collect();
+        let mut made = self.inner.alloc(plane * depth)?;
+        self.stream(&[Feed { store: from, size, planes }], |n, volumes| {
+            let (x, y, held) = (region.start[0], region.start[1], slabs[n].len());
+            let part = Region { start: [x, y, 0], size: [width, height, held] };
+            self.inner.crop([size[0], size[1], held], volumes[0], part, &mut made)?;
+            self.put(&made, 0, plane * held, into, plane * slabs[n].start)
+        })
+    }
+
+    /// See [`Device::embed`](crate::device::Device::embed).
+    pub(super) fn embed_slabs(
+        &self,
+        region: Region,
+        values: &Buffer,
+        size: [usize; 3],
+        out: &mut Buffer,
+    ) -> Result<()> {
+        let (from, into) = (store(values), store_mut(out));
+        self.prepare(into)?;
+        if let (Content::Resident(from, _), Content::Resident(into, _)) = (&from.content, &mut into.content) {
+            return self.inner.embed(region, from, size, into);
+        }
+        let plane = size[0] * size[1];
+        let inner = region.size;
+        let depth = self.depth(size[2], Feed::weight(from, inner, inner[2]) + plane as f64, 0.0)?;
+        let slabs = slabs(size[2], depth);
+        let within = |slab: &Range<usize>| {
+            let [first, end] = [slab.start, slab.end].map(|p| p.clamp(region.start[2], region.end()[2]));
+            first - region.start[2]..end - region.start[2]
+        };
+        let planes: Vec<_> = slabs.iter().map(within).collect();
+        let mut made = self.inner.alloc(plane * depth)?;
+        self.stream(&[Feed { store: from, size: inner, planes: planes.clone() }], |n, volumes| {
+            let (slab, held) = (&slabs[n], planes[n].len());
+            let first = (region.start[2] + planes[n].start).saturating_sub(slab.start).min(slab.len() - held);
+            let part = Region { start: [region.start[0], region.start[1], first], size: [inner[0], inner[1], held] };
+            self.inner.embed(part, volumes[0], [size[0], size[1], slab.len()], &mut made)?;
+            self.put(&made, 0, plane * slab.len(), into, plane * slab.start)
+        })
+    }
+
+    /// See [`Device::prolong`](crate::device::Device::prolong).
+    pub(super) fn prolong_slabs(
+        &self,
+        coarse: [usize; 3],
+        values: &Buffer,
+        size: [usize; 3],
+        into: &mut Buffer,
+    ) -> Result<()> {
+        let (from, to) = (store(values), store_mut(into));
+        if let (Content::Resident(from, _), Content::Resident(to, _)) = (&from.content, &mut to.content) {
+            return self.inner.prolong(coarse, from, size, to);
+        }
+        let plane = size[0] * size[1];
+        let weight = Feed::weight(from, coarse, size[2]) + Feed::weight(to, size, size[2]);
+        let depth = self.depth(size[2], weight + plane as f64, 4.0 * (coarse[0] * coarse[1]) as f64)?;
+        let slabs = slabs(size[2], depth);
+        let beside = |plane: usize| between(plane, size[2], coarse[2]);
+        let below: Vec<Range<usize>> = slabs.iter().map(|s| beside(s.start).0..beside(s.end - 1).1 + 1).collect();
+        let mut spares = self.spares(2, size.iter().product())?;
+        let mut made = self.inner.alloc(plane * depth)?;
+        let feeds = [
+            Feed { store: from, size: coarse, planes: below.clone() },
+            Feed { store: to, size, planes: slabs.clone() },
+        ];
+        self.stream(&feeds, |n, volumes| {
+            let (slab, len) = (Slab { size, planes: slabs[n].clone() }, plane * slabs[n].len());
+            self.inner.copy(volumes[1], 0, len, &mut made, 0)?;
+            let held = Slab { size: coarse, planes: below[n].clone() };
+            self.inner.prolong_slab(&held, volumes[0], &slab, &mut made)?;
+            self.put(&made, 0, len, &mut spares[0], plane * slab.planes.start)
+        })?;
+        std::mem::swap(to, &mut spares[0]);
+        self.keep_spares(spares);
+        Ok(())
     }
 
     pub(super) fn combine_runs(&self, terms: &[(&Buffer, f32)], out: &mut Buffer) -> Result<()> {

@@ -111,7 +111,6 @@ impl Paged {
     /// The same to be written to.
     fn mapped_mut<'a>(&self, buffer: &'a mut Buffer) -> Result<&'a mut Buffer> {
         let store = store_mut(buffer);
-        store.largest.take();
         store.near.take();
         let copy = store.copy.take();
         if matches!(store.content, Content::Zero) {

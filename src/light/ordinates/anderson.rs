@@ -1,6 +1,7 @@
 //! Anderson acceleration of a fixed-point iteration (Walker & Ni 2011, problem (1.2)): the next argument is the affine
 //! combination of the latest values Φ(x_i) whose residuals Φ(x_i) − x_i cancel best in the least-squares sense.
 
+use super::coarse::Coarse;
 use super::equation::State;
 use crate::device::Device;
 use crate::error::Result;
@@ -9,9 +10,10 @@ use crate::error::Result;
 pub(super) const DEPTH: usize = 6;
 
 /// Latest values and residuals.
-#[derive(Default)]
 pub(super) struct Anderson {
     slots: Vec<Slot>,
+    /// Values of a volume at most.
+    room: usize,
     /// Slots in use, and the one to overwrite next.
     used: usize,
     next: usize,
@@ -24,20 +26,30 @@ struct Slot {
 }
 
 impl Anderson {
+    pub fn new(room: usize) -> Self {
+        Anderson { slots: vec![], room, used: 0, next: 0, gram: [[0.0; DEPTH]; DEPTH] }
+    }
+
     /// Forgets the pairs, not the memory.
     pub fn clear(&mut self) {
         (self.used, self.next) = (0, 0);
     }
 
-    /// Takes in a pair x, Φ(x), of any guess.
-    pub fn take(&mut self, device: &dyn Device, x: &State, value: &State) -> Result<()> {
+    /// Takes in a pair x, Φ(x), of any guess; with `coarse` of the equation `x = Φ(x) + e(Φ(x) − x)`, which has the same solution.
+    pub fn take(&mut self, device: &dyn Device, x: &State, value: &State, coarse: Option<&mut Coarse>) -> Result<()> {
         if self.slots.len() == self.next {
-            let fresh = || State::new(device, value.phi.len(), value.current.is_some());
+            let fresh = || State::new(device, self.room, value.current.is_some());
             self.slots.push(Slot { value: fresh()?, residual: fresh()? });
         }
         let slot = &mut self.slots[self.next];
+        for state in [&mut slot.value, &mut slot.residual] {
+            state.resize(device, value.phi.len())?;
+        }
         slot.value.combine(device, &[(value, 1.0)])?;
         slot.residual.combine(device, &[(value, 1.0), (x, -1.0)])?;
+        if let Some(coarse) = coarse {
+            coarse.correct(device, &mut slot.value, &mut slot.residual)?;
+        }
         let latest = self.next;
         self.used = self.used.max(latest + 1);
         self.next = (latest + 1) % DEPTH;

@@ -15,11 +15,11 @@ struct Line([f32; WIDTH]);
 pub(super) struct Aligned(Vec<Line>);
 
 impl Aligned {
-    /// Makes it hold at least `len` values; new ones are 0.
+    /// Makes it hold at least `len` values; new ones are 0. In powers of two, so that the next box of another shape finds room.
     pub fn grow(&mut self, len: usize) {
         let lines = len.div_ceil(WIDTH);
         if lines > self.0.len() {
-            self.0.resize(lines, Line::zeroed());
+            self.0.resize(lines.next_power_of_two(), Line::zeroed());
         }
     }
 }

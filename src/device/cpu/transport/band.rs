@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use super::super::simd::dispatch;
 use super::aligned::Aligned;
-use super::rows::{Across, Step, across, step, towards};
+use super::rows::{Across, Depth, Step, across, largest, step, towards};
 use super::turn::{layer_stride, turn_in, turn_out};
 use super::{BLOCK, Band, Job, WIDTH, pitch, stride};
 
@@ -16,6 +16,10 @@ struct Scratch {
     /// S towards each lane, likewise, where it depends on direction.
     emitted: [Aligned; 2],
     feet: Vec<FootRows>,
+    /// Largest σ of each row that is held, in the layer before and in this one.
+    densest: [Vec<f32>; 2],
+    /// For each row that is held and each lane, likewise: true where no light is.
+    dark: [Vec<bool>; 2],
     /// Rows of the lane at work.
     up: Aligned,
     emitted_up: Across,
@@ -34,6 +38,7 @@ struct Scratch {
 /// Rows that the lanes of a foot share.
 #[derive(Default)]
 struct FootRows {
+    steps: Depth,
     /// Half the step times σ here and at the feet, and S at the feet.
     depth: Aligned,
     depth_up: Across,
@@ -49,6 +54,8 @@ impl Scratch {
         if job.linear() {
             self.emitted.iter_mut().for_each(|v| v.grow(planes));
         }
+        self.densest.iter_mut().for_each(|v| v.resize(held, 0.0));
+        self.dark.iter_mut().for_each(|v| v.resize(held * job.batch.lanes.len(), false));
         self.feet.resize_with(self.feet.len().max(job.batch.feet.len()), FootRows::default);
         for foot in &mut self.feet {
             foot.depth.grow(padded);
@@ -89,9 +96,12 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     let held = band.rows.start.saturating_sub(BLOCK)..(band.rows.end + BLOCK).min(rows);
     let at = |j: usize| (j - held.start) * pitch;
     scratch.fit(job, height, held.len(), parts);
-    let Scratch { radiance, emitted, feet, up, emitted_up, isotropic, row, turned, sums, columns } = scratch;
+    let Scratch { radiance, emitted, feet, densest, dark, up, emitted_up, isotropic, row, turned, sums, columns } =
+        scratch;
     let [mut before, mut now] = radiance.each_mut().map(|p| &mut p[..held.len() * pitch]);
     let [mut emitted_before, mut emitted_now] = emitted.each_mut().map(|p| &mut p[..]);
+    let [mut densest_before, mut densest_now] = densest.each_mut().map(|p| &mut p[..]);
+    let [mut dark_before, mut dark_now] = dark.each_mut().map(|p| &mut p[..]);
     let across_x = job.batch.axis == 0;
     if across_x {
         turn_in(job, &held, turned);
@@ -111,6 +121,13 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     };
     if job.layers.start > 0 {
         before.copy_from_slice(&job.entry[held.start * pitch..held.end * pitch]);
+        for j in held.clone() {
+            densest_before[j - held.start] = largest(field(0, job.layers.start - 1, j));
+            for n in 0..lanes.len() {
+                let radiance = &before[at(j) + n * stride..][..cols];
+                dark_before[(j - held.start) * lanes.len() + n] = largest(radiance) == 0.0;
+            }
+        }
         if job.linear() {
             for j in held.clone() {
                 for (n, lane) in lanes.iter().enumerate() {
@@ -126,9 +143,12 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
         for j in band.rows.start.saturating_sub(reach)..(band.rows.end + reach).min(rows) {
             let own = band.rows.contains(&j);
             let [first, last] = job.outer(l, j);
+            let held_row = j - held.start;
+            densest_now[held_row] = largest(field(0, l, j));
             if let (Some(given), Some(outer)) = (job.given, first) {
                 for (n, lane) in lanes.iter().enumerate() {
                     let here = at(j) + n * stride;
+                    dark_now[held_row * lanes.len() + n] = false;
                     now[here..][..cols].copy_from_slice(&given[(outer * lanes.len() + n) * cols..][..cols]);
                     if job.linear() {
                         let from = std::array::from_fn(|f| field(f + 1, l, j));
@@ -149,9 +169,18 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 if !needed(foot.step_row) {
                     continue;
                 }
+                let next = beside(foot.step_row);
+                let above = match (l, next) {
+                    (0, _) => 0.0,
+                    (_, None) => densest_before[held_row],
+                    (_, Some(b)) => densest_before[held_row].max(densest_before[b - held.start]),
+                };
+                rows.steps = Depth::of(foot.half * (densest_now[held_row] + above));
+                if rows.steps == Depth::Empty {
+                    continue;
+                }
                 let sigma = field(0, l, j);
                 rows.depth.iter_mut().zip(sigma).for_each(|(d, s)| *d = foot.half * s);
-                let next = beside(foot.step_row);
                 if l == 0 {
                     // Half a voxel inside the box: no σ at the feet and the S of the voxel itself.
                     rows.depth_up.clear();
@@ -167,7 +196,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 field(1, l, j)
             } else {
                 isotropic[..cols].copy_from_slice(field(1, l, j));
-                isotropic
+                &isotropic[..padded]
             };
             row.fill(0.0);
             for (n, lane) in lanes.iter().enumerate() {
@@ -180,10 +209,20 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 if !needed(foot.step_row) {
                     continue;
                 }
+                let empty = shared.steps == Depth::Empty;
+                let next = beside(foot.step_row);
+                let was_dark = |j: usize| dark_before[(j - held.start) * lanes.len() + n];
+                let unlit = l == 0 || was_dark(j) && next.is_none_or(was_dark);
+                let dark = empty && lane.inflow == 0.0 && unlit;
+                dark_now[held_row * lanes.len() + n] = dark;
+                if dark {
+                    now[here..][..padded].fill(0.0);
+                    continue;
+                }
                 let emitted = if job.linear() { &emitted_now[here..][..padded] } else { isotropic };
-                let next = beside(foot.step_row).map(|b| at(b) + n * stride);
+                let next = next.map(|b| at(b) + n * stride);
                 let t_col = if l == 0 {
-                    up.fill(lane.inflow);
+                    up[..padded + 2 * WIDTH].fill(lane.inflow);
                     emitted_up.here(emitted);
                     0.0
                 } else {
@@ -196,7 +235,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                         up,
                     );
                     up[WIDTH + cols] = lane.inflow;
-                    if job.linear() {
+                    if job.linear() && !empty {
                         let next = next.map(|b| &emitted_before[b..][..cols]);
                         emitted_up.between(foot, 1.0, &emitted_before[here..][..cols], next, lane.inflow);
                     }
@@ -212,7 +251,7 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                     emitted,
                     emitted_up: if own_up { emitted_up } else { &shared.emitted_up },
                 };
-                step(&reads, job.thin, &mut now[here..][..padded], row);
+                step(&reads, shared.steps, &mut now[here..][..padded], row);
             }
             if own {
                 deposit(job, band, (l, j), row, sums);
@@ -226,6 +265,8 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
         }
         std::mem::swap(&mut before, &mut now);
         std::mem::swap(&mut emitted_before, &mut emitted_now);
+        std::mem::swap(&mut densest_before, &mut densest_now);
+        std::mem::swap(&mut dark_before, &mut dark_now);
     }
     band.exit.copy_from_slice(&before[at(band.rows.start)..at(band.rows.end)]);
     if across_x {
