@@ -243,6 +243,31 @@ fn compare_looks_at_layers_and_tells_noise_from_bias() {
     }
 }
 
+/// Layers are weighed anew without rendering: a picture of the same step and camera that says so.
+#[test]
+fn composite_weighs_layers_and_keeps_what_the_file_says() {
+    let here = folder();
+    series(here.path(), 2);
+    let isosurface = ["--set", "render.kind=isosurface", "--out", "f_{step}.exr", "--quiet"];
+    ends(&gloaming(here.path(), &render(&isosurface)), 0);
+    let weighed =
+        ["composite", "f_1.exr", "--diffuse", "0", "--specular", "0", "--out", "dark.exr", "--out", "dark.png"];
+    ends(&gloaming(here.path(), &weighed), 0);
+    let said = |name: &str| {
+        let file = ::exr::meta::MetaData::read_from_file(here.path().join(name), true).unwrap();
+        file.headers[0].own_attributes.clone()
+    };
+    assert!(said("f_1.exr").other.len() > 6);
+    assert_eq!(said("f_1.exr"), said("dark.exr"));
+    let [before, dark] = ["f_1.exr", "dark.exr"].map(|name| exr::read(&here.path().join(name)).unwrap());
+    assert_eq!(before.layers, dark.layers);
+    assert!(before.pixels.iter().any(|p| p[0] > 0.0) && dark.pixels.iter().all(|p| p[0] == 0.0));
+    assert!(here.path().join("dark.png").exists());
+    let nothing = gloaming(here.path(), &["composite", "f_1.exr"]);
+    ends(&nothing, 1);
+    assert!(stderr(&nothing).contains("--out"), "{}", stderr(&nothing));
+}
+
 #[test]
 fn render_writes_frames_a_movie_and_a_ledger() {
     let here = folder();
