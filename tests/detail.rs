@@ -68,6 +68,42 @@ fn a_run_with_noise_is_a_run_of_noisy_data() {
     assert!(with[0] != smooth[0] && with[0] != with[1], "the noise is there, and moves");
 }
 
+/// Without amplitude and warp nothing happens, to the bit, whatever else the keys say.
+#[test]
+fn no_noise_is_no_change() {
+    let none = ["noise.amplitude=0", "noise.warp=0", "noise.refine=3", "noise.seed=9"];
+    let [plain, with] = [&[][..], &none]
+        .map(|sets| bits(&mut Session::new(cpu(), scene(sets), None, false).unwrap(), (0..2).map(step)));
+    assert!(plain == with);
+}
+
+/// Every field is looked up at the same shifted places, which ramps tell: there a field without curvature between its values is known.
+#[test]
+fn lookups_are_where_ramps_say_they_are() {
+    let of = |field: &dyn Fn([f32; 3]) -> f32, seed: u32| {
+        let seed = format!("noise.seed={seed}");
+        let detail = Detail::new(&scene(&["noise.warp=0.8", "noise.scale=6", "noise.refine=2", &seed]).noise).unwrap();
+        let at = |n: usize| [n % SIZE[0], n / SIZE[0] % SIZE[1], n / (SIZE[0] * SIZE[1])].map(|i| i as f32);
+        let values = (0..SIZE.iter().product()).map(|n| field(at(n))).collect();
+        let fine = detail.apply(&Timestep { field: Arc::new(Dense::new(SIZE, values)), ..step(2) });
+        let mut out = vec![0.0; fine.grid.len()];
+        fine.field.read(fine.grid.region(), &mut out).unwrap();
+        out
+    };
+    let [x, y, z] = [0, 1, 2].map(|a| of(&move |p| p[a], 4));
+    let mixed = |[x, y, z]: [f32; 3]| 2.0 * x - y + 0.5 * z + 0.1 * x * y - 0.2 * y * z;
+    let looked_up = of(&mixed, 4);
+    let mut moved = 0.0f32;
+    for (n, value) in looked_up.iter().enumerate() {
+        let wanted = mixed([x[n], y[n], z[n]]);
+        assert!((value - wanted).abs() < 1e-4 * (1.0 + wanted.abs()), "{value} at voxel {n}, not {wanted}");
+        moved = moved.max((x[n] - ((n % 40) as f32 + 0.5) * 0.5 + 0.5).abs());
+    }
+    // The noise is cut off at three standard deviations of 0.8 voxels.
+    assert!((1.0..2.41).contains(&moved), "{moved}");
+    assert!(of(&mixed, 4) == looked_up && of(&mixed, 5) != looked_up, "noise is its seed's");
+}
+
 /// A slab at a time, the same to the bit; what it takes is known beforehand.
 #[test]
 fn noise_is_the_same_where_memory_is_small() {
