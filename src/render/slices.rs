@@ -305,6 +305,14 @@ impl Rays {
     }
 }
 
+/// Texels per voxel for a medium. Light is bilinear between texels, so that pictures are off by about the 3/2th power of what a texel
+/// dims: 1.5 texels a voxel where the densest takes a tenth of the light, and more by the square root up to 3, which cost four times as much.
+fn resolution(medium: &Medium) -> f64 {
+    let densest = medium.table.extinction.iter().copied().fold(0.0, f32::max);
+    let depth = f64::from(densest) * medium.grid.mean_spacing();
+    1.5 * (depth / -0.9f64.ln()).sqrt().clamp(1.0, 2.0)
+}
+
 /// Texels for a length of so many, one more on each side.
 fn texels(length: f64) -> usize {
     (length.ceil() as usize + 2).next_multiple_of(Beam::ALIGN)
@@ -384,7 +392,7 @@ impl Renderer for HalfAngle {
         let grid = &medium.grid;
         let eye = Projection::of(camera, size);
         let step = f64::from(self.render.step) * grid.mean_spacing();
-        let texel = grid.mean_spacing() / self.keys.resolution;
+        let texel = grid.mean_spacing() / self.keys.resolution.unwrap_or_else(|| resolution(medium));
         let unshadowed = self.unshadowed();
         let phong = self.phong(grid);
         // R = d·tan(θ/2) (9) for a step of a voxel; of an even disk, a quarter of R² is the variance along each axis.

@@ -10,8 +10,8 @@ use super::NumberOrRgb;
 pub struct SlicesKeys {
     /// Whether the medium casts shadows. Without, slices are aligned with the view, and one pass serves all lights.
     pub shadows: bool,
-    /// Texels of the light buffer per data voxel along an axis.
-    pub resolution: f64,
+    /// Texels of the light buffer per data voxel along an axis; 1.5 to 3 when absent, by what a voxel dims.
+    pub resolution: Option<f64>,
     /// Factor on the extinction of light on its way from its source, a number or per channel: below 1 the medium is
     /// translucent.
     pub attenuation: NumberOrRgb,
@@ -23,6 +23,12 @@ pub struct SlicesKeys {
 
 impl Default for SlicesKeys {
     fn default() -> Self {
-        SlicesKeys { shadows: true, resolution: 1.5, attenuation: NumberOrRgb::Number(1.0), blur: 0.0, spotlight: None }
+        SlicesKeys {
+            shadows: true,
+            resolution: None,
+            attenuation: NumberOrRgb::Number(1.0),
+            blur: 0.0,
+            spotlight: None,
+        }
     }
 }

@@ -276,7 +276,9 @@ fn pathtrace(keys: &PathtraceKeys) -> Result<()> {
 }
 
 fn slices(keys: &SlicesKeys) -> Result<()> {
-    require(keys.resolution > 0.0 && keys.resolution <= 8.0, "slices.resolution", keys.resolution)?;
+    if let Some(resolution) = keys.resolution {
+        require(resolution > 0.0 && resolution <= 8.0, "slices.resolution", resolution)?;
+    }
     require(keys.attenuation.rgb().into_iter().all(nonnegative), "slices.attenuation", keys.attenuation.rgb())?;
     require((0.0..=120.0).contains(&keys.blur), "slices.blur", keys.blur)
 }
