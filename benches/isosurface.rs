@@ -35,7 +35,7 @@ struct Times {
     hits: f64,
     beauty: [f64; 2],
     occlusion: [f64; 2],
-    subsurface: [f64; 2],
+    subsurface: [[f64; 2]; 2],
     count: usize,
 }
 
@@ -106,20 +106,22 @@ fn measure(cpu: &Cpu, n: usize, picture: [usize; 2], runs: usize) -> gloaming::R
         let mut sums = vec![[0.0; 4]; count];
         best(runs, || cpu.surface_occlusion(&surfaces, &occlusion, to(rays), &hits, &mut sums).expect("occlusion"))
     });
-    let subsurface = [(4, 4), (64, 16)].map(|(primary, secondary)| {
-        let of = Subsurface {
-            environment,
-            primary: to(primary),
-            secondary,
-            fast: false,
-            refracts: false,
-            attenuation: Attenuation { rate: [0.01; 3], table: None },
-            estimator,
-            seed: 0,
-        };
-        let mut sums = vec![[0.0; 3]; count];
-        let runs = if primary > 4 { 1 } else { runs };
-        best(runs, || cpu.surface_subsurface(&surfaces, &of, &hits, &mut sums).expect("subsurface"))
+    let subsurface = [true, false].map(|fast| {
+        [(4, 4), (64, 16)].map(|(primary, secondary)| {
+            let of = Subsurface {
+                environment,
+                primary: to(primary),
+                secondary,
+                fast,
+                refracts: false,
+                attenuation: Attenuation { rate: [0.01; 3], table: None },
+                estimator,
+                seed: 0,
+            };
+            let mut sums = vec![[0.0; 3]; count];
+            let runs = if primary > 4 { 1 } else { runs };
+            best(runs, || cpu.surface_subsurface(&surfaces, &of, &hits, &mut sums).expect("subsurface"))
+        })
     });
     Ok(Times { hits: first, beauty, occlusion, subsurface, count })
 }
@@ -130,24 +132,27 @@ fn main() -> gloaming::Result<()> {
     let cpu = Cpu::new(0)?;
     println!("{}, {} x {} pixels; ms, preview and final", cpu.name(), picture[0], picture[1]);
     println!("volume   hits  first hit       beauty            occlusion         subsurface         all      ratios");
+    println!("subsurface scattering fast, then accurate");
     for n in [64, 128, 256] {
         let t = measure(&cpu, n, picture, runs)?;
         let ms = |t: [f64; 2]| format!("{:7.1} {:8.1}", 1e3 * t[0], 1e3 * t[1]);
         let ratio = |t: [f64; 2]| t[1] / t[0];
-        let all = [0, 1].map(|q| t.hits + t.beauty[q] + t.occlusion[q] + t.subsurface[q]);
-        println!(
-            "{n:>4}³ {:>7} {:>8.1} {} {} {} {}   {:.1} {:.1} {:.1} {:.1}",
-            t.count,
-            1e3 * t.hits,
-            ms(t.beauty),
-            ms(t.occlusion),
-            ms(t.subsurface),
-            ms(all),
-            ratio(t.beauty),
-            ratio(t.occlusion),
-            ratio(t.subsurface),
-            ratio(all)
-        );
+        for subsurface in t.subsurface {
+            let all = [0, 1].map(|q| t.hits + t.beauty[q] + t.occlusion[q] + subsurface[q]);
+            println!(
+                "{n:>4}³ {:>7} {:>8.1} {} {} {} {}   {:.1} {:.1} {:.1} {:.1}",
+                t.count,
+                1e3 * t.hits,
+                ms(t.beauty),
+                ms(t.occlusion),
+                ms(subsurface),
+                ms(all),
+                ratio(t.beauty),
+                ratio(t.occlusion),
+                ratio(subsurface),
+                ratio(all)
+            );
+        }
     }
     Ok(())
 }

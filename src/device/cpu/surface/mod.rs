@@ -4,6 +4,8 @@ use glam::{DVec3, Vec3};
 
 use crate::device::Clip;
 use crate::device::cpu::host;
+use crate::device::cpu::march::kernel::three;
+use crate::device::cpu::march::lanes::Lanes;
 use crate::device::surface::{Attenuation, Hit, Surface, Surfaces};
 use crate::field::HOLE;
 
@@ -69,6 +71,39 @@ impl<'a> Volume<'a> {
         let far = mix(mix(v(z), v(x + z), f.x), mix(v(y + z), v(x + y + z), f.x), f.y);
         mix(near, far, f.z)
     }
+
+    /// The same of a packet of positions, to the bit. The instruction set of lanes that gather must reach all values.
+    #[inline(always)]
+    fn along<V: Lanes>(&self, position: [V; 3]) -> V {
+        let p = three!(a => position[a].max(V::splat(0.0)).min(V::splat(self.last[a])));
+        let cell = three!(a => p[a].min(V::splat(self.last_cell[a])).trunc());
+        let f = three!(a => p[a] - V::float(cell[a]));
+        let first = V::linear(cell, [self.row, self.slice]);
+        let [_, y, z] = self.beside;
+        let near = mix(self.pair(0, first, f[0]), self.pair(y, first, f[0]), f[1]);
+        let far = mix(self.pair(z, first, f[0]), self.pair(y + z, first, f[0]), f[1]);
+        mix(near, far, f[2])
+    }
+
+    /// Between two neighbours along x, `offset` beyond the first of a cell.
+    #[inline(always)]
+    fn pair<V: Lanes>(&self, offset: usize, first: V::Int, t: V) -> V {
+        let values = self.values.as_ptr().wrapping_add(offset);
+        // SAFETY: as in `at`; along an axis with one value there is no neighbour.
+        let (a, b) = unsafe {
+            match self.beside[0] {
+                1 => V::pairs(values, first),
+                _ => (V::gather(values, first), V::gather(values, first)),
+            }
+        };
+        mix(a, b, t)
+    }
+}
+
+/// a·(1 − t) + b·t: exact at both ends, also beside a hole.
+#[inline(always)]
+fn mix<V: Lanes>(a: V, b: V, t: V) -> V {
+    a * (V::splat(1.0) - t) + b * t
 }
 
 /// What all rays of a call share.
