@@ -1,7 +1,15 @@
-//! Path tracing: samples a second, a majorant for each brick against one for all, and how the error falls with samples.
+//! Path tracing: samples a second, a majorant for each brick against one for all, how the error falls with samples, and how long a
+//! picture takes.
 //!
-//! `cargo bench --bench pathtrace [-- --quick]`
+//! `cargo bench --bench pathtrace [-- [speed] [slopes] [time] [--all] [--quick]]`
+//!
+//! `speed`, `slopes` and `time` choose parts; without them all three run, a few minutes in all. `slopes` are of five series with three
+//! apertures under one to eight lights each, with `--quick` of one series. `time` is that of each series in focus under one light, and
+//! with `--all` of each row of `slopes`, half a minute each. Series are read from the folder that `GLOAMING_BENCH_DATA` names, or
+//! `tests/data`; in place of one that is not there, one is made, and its name says so.
 
+use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -13,36 +21,75 @@ use gloaming::grid::{BrickLayout, Grid};
 use gloaming::lights::Emitters;
 use gloaming::medium::Medium;
 use gloaming::scene::Scene;
+use gloaming::source::{self, SourceSpec};
 use gloaming::transfer::TransferFunction;
 
 /// A volume, and how it is shown.
 struct Series {
-    name: &'static str,
+    name: String,
     grid: Grid,
     values: Vec<f32>,
     keys: &'static str,
 }
 
-fn data(file: &str) -> String {
-    format!("{}/tests/data/{file}", env!("CARGO_MANIFEST_DIR"))
+const SMOKE: &str =
+    "transfer.colormap = \"white\"\ntransfer.albedo = 0.9\ntransfer.opacity = [[0.0, 0.0], [1.0, 0.35]]";
+const LIQUID: &str = "transfer.colormap = \"viridis\"\ntransfer.opacity = [[0.0, 0.0], [0.3, 0.0], [1.0, 0.5]]";
+const SOLVENT: &str = "transfer.colormap = \"viridis\"\ntransfer.opacity = [[0.0, 0.5], [0.7, 0.1], [0.9, 0.0]]";
+const WAVE: &str = "transfer.colormap = \"white\"\ntransfer.opacity = [[0.0, 0.6], [0.4, 0.0], [0.6, 0.0], [1.0, 0.6]]";
+
+/// File, field, layout where there is no header, step (the last where there are fewer), and how it is shown.
+const FILES: [(&str, Option<&str>, Option<&str>, usize, &str); 5] = [
+    ("smoke.h5", Some("density"), None, 40, SMOKE),
+    ("smoke.h5", Some("density"), None, 24, SMOKE),
+    ("gray_scott_32.raw", None, Some("dims=32x32x32,dtype=f64le,offset=24,steps=12"), 11, LIQUID),
+    ("openpmd_gray_scott.h5", Some("U"), None, 19, SOLVENT),
+    ("meep_ez.h5", Some("ez"), None, 39, WAVE),
+];
+
+/// One of [`FILES`] on a grid of `most` values along its longest axis.
+fn series(number: usize, most: usize) -> gloaming::Result<Series> {
+    let (file, field, raw, step, keys) = FILES[number];
+    let folder = std::env::var_os("GLOAMING_BENCH_DATA")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data"), PathBuf::from);
+    let path = folder.join(file);
+    if !path.exists() {
+        let (grid, values) = puffs(most, number as u32);
+        return Ok(Series { name: format!("made in place of {file}"), grid, values, keys });
+    }
+    let series = source::open(&SourceSpec {
+        series: vec![path.display().to_string()],
+        field: field.map(str::to_owned),
+        raw: raw.map(str::to_owned),
+        ..Default::default()
+    })?;
+    let step = step.min(series.info().steps.len().saturating_sub(1));
+    let Timestep { grid, field, .. } = series.timestep(step)?;
+    let mut coarse = vec![0.0; grid.len()];
+    field.read(grid.region(), &mut coarse)?;
+    let (grid, values) = resampled(&grid, |at| coarse[grid.index(at)], most);
+    Ok(Series { name: format!("{file} {step}"), grid, values, keys })
 }
 
-/// One step of a dataset of (step, z, y, x), or of (z, y, x), on a grid of at most `most` values along an axis.
-fn read(file: &str, dataset: &str, step: Option<usize>, most: usize) -> gloaming::Result<(Grid, Vec<f32>)> {
-    let path = data(file);
-    let all = || -> hdf5::Result<ndarray::ArrayD<f32>> { hdf5::File::open(&path)?.dataset(dataset)?.read_dyn::<f32>() };
-    let mut all = all().map_err(|e| gloaming::Error::format(&path, e.to_string(), "git lfs pull"))?;
-    if let Some(step) = step {
-        all = all.index_axis_move(ndarray::Axis(0), step);
-    }
-    let coarse = all.into_dimensionality::<ndarray::Ix3>().expect("three axes");
-    let (nz, ny, nx) = coarse.dim();
-    let grid = Grid::new([nx, ny, nz]);
-    Ok(resampled(&grid, |i, j, k| coarse[[k, j, i]], most))
+/// Soft balls where a hash says.
+fn puffs(n: usize, seed: u32) -> (Grid, Vec<f32>) {
+    let grid = Grid::new([n; 3]);
+    let ball = |b: u32| gloaming::device::random::pcg4d([b, seed, 7, 9]).map(gloaming::device::random::unit);
+    let balls: Vec<[f32; 4]> = (0..24).map(ball).collect();
+    let value = |v: usize| {
+        let p = [v % n, v / n % n, v / (n * n)].map(|i| (i as f32 + 0.5) / n as f32);
+        let at = |[x, y, z, r]: &[f32; 4]| {
+            let centre = [x, y, z].map(|c| 0.2 + 0.6 * c);
+            let square: f32 = (0..3).map(|a| (p[a] - centre[a]).powi(2)).sum();
+            (1.0 - square / (0.05 + 0.1 * r).powi(2)).max(0.0)
+        };
+        balls.iter().map(at).sum::<f32>().min(1.0)
+    };
+    (grid, (0..grid.len()).map(value).collect())
 }
 
 /// Trilinear on a grid of `most` values along the longest axis that fills the same box.
-fn resampled(grid: &Grid, value: impl Fn(usize, usize, usize) -> f32, most: usize) -> (Grid, Vec<f32>) {
+fn resampled(grid: &Grid, value: impl Fn([usize; 3]) -> f32, most: usize) -> (Grid, Vec<f32>) {
     let longest = grid.size.into_iter().max().unwrap_or(1);
     let fine = grid.resized(grid.size.map(|n| (n * most).div_ceil(longest)));
     let at = |axis: usize, i: usize| {
@@ -59,50 +106,12 @@ fn resampled(grid: &Grid, value: impl Fn(usize, usize, usize) -> f32, most: usiz
             let (y0, y1, ty) = at(1, j);
             for i in 0..fine.size[0] {
                 let (x0, x1, tx) = at(0, i);
-                let row = |y, z| mix(value(x0, y, z), value(x1, y, z), tx);
+                let row = |y, z| mix(value([x0, y, z]), value([x1, y, z]), tx);
                 out.push(mix(mix(row(y0, z0), row(y1, z0), ty), mix(row(y0, z1), row(y1, z1), ty), tz));
             }
         }
     }
     (fine, out)
-}
-
-/// Blocks of three densities in empty space.
-fn blocks(n: usize) -> Series {
-    let block = |i: usize| (i * 7 / n) % 2;
-    let grid = Grid::new([n; 3]);
-    let value = |v: usize| {
-        let [i, j, k] = [v % n, v / n % n, v / (n * n)];
-        if block(i) + block(j) + block(k) == 3 { (1 + (i + 2 * j + 3 * k) * 7 / n % 3) as f32 / 3.0 } else { 0.0 }
-    };
-    Series {
-        name: "blocks",
-        values: (0..grid.len()).map(value).collect(),
-        grid,
-        keys: "transfer.opacity = [[0, 0], [1, 0.6]]",
-    }
-}
-
-const SMOKE: &str =
-    "transfer.colormap = \"white\"\ntransfer.albedo = 0.9\ntransfer.opacity = [[0.0, 0.0], [1.0, 0.35]]";
-
-fn series() -> gloaming::Result<Vec<Series>> {
-    let of = |name, (grid, values), keys| Series { name, grid, values, keys };
-    let raw =
-        std::fs::read(data("gray_scott_32.raw")).map_err(|e| gloaming::Error::io(data("gray_scott_32.raw"), e))?;
-    let last = &raw[raw.len() - 8 * 32 * 32 * 32..];
-    let value = |i: usize| f64::from_le_bytes(std::array::from_fn(|b| last[8 * i + b])) as f32;
-    Ok(vec![
-        of("smoke", read("smoke.h5", "density", Some(40), 64)?, SMOKE),
-        of("smoke, early", read("smoke.h5", "density", Some(12), 64)?, SMOKE),
-        of("plume", read("plume_128.h5", "density", None, 64)?, SMOKE),
-        of(
-            "Gray–Scott",
-            resampled(&Grid::new([32; 3]), |i, j, k| value((k * 32 + j) * 32 + i), 64),
-            "transfer.colormap = \"viridis\"\ntransfer.opacity = [[0.0, 0.0], [0.3, 0.0], [1.0, 0.5]]",
-        ),
-        blocks(64),
-    ])
 }
 
 /// What `Device::trace` takes, but for the picture.
@@ -131,7 +140,14 @@ impl Stage {
     }
 
     /// Traces samples of a picture of `size`², into sums that begin at 0; returns them and the seconds that it took.
-    fn run(&self, size: usize, samples: std::ops::Range<u32>, depth: u32, global: bool) -> (Vec<Tally>, f64) {
+    fn run(&self, size: usize, samples: Range<u32>, depth: u32, global: bool) -> (Vec<Tally>, f64) {
+        let mut tallies = vec![Tally::default(); size * size];
+        let seconds = self.add(size, samples, depth, global, &mut tallies);
+        (tallies, seconds)
+    }
+
+    /// The same into sums that go on.
+    fn add(&self, size: usize, samples: Range<u32>, depth: u32, global: bool, tallies: &mut [Tally]) -> f64 {
         let emitters = self.emitters.on(&self.medium.grid);
         let most = [self.majorant.iter().fold(0.0f32, |m, v| m.max(*v))];
         let longest = self.medium.grid.size.into_iter().max().unwrap_or(1);
@@ -153,13 +169,13 @@ impl Stage {
             phase: Phase::HenyeyGreenstein(0.0),
             sampling: Sampling::Both,
             depth,
+            // Samples of one seed fill each other's gaps: what is held against a reference is of another.
             seed: 1 + u32::from(samples.start > 0),
             samples,
         };
-        let mut tallies = vec![Tally::default(); size * size];
         let begun = Instant::now();
-        self.device.trace(&trace, [size, size], &mut tallies).expect("the CPU traces");
-        (tallies, begun.elapsed().as_secs_f64())
+        self.device.trace(&trace, [size, size], tallies).expect("the CPU traces");
+        begun.elapsed().as_secs_f64()
     }
 
     /// From the eye to the middle of the volume.
@@ -183,24 +199,24 @@ fn error(tallies: &[Tally], truth: &[Tally]) -> f64 {
     (square / n).sqrt() / (sum / n)
 }
 
+/// Samples a second and core on smoke of 128³ at 512², eight samples of a pixel at a time, the two in turns.
 fn speed(quick: bool) -> gloaming::Result<()> {
-    let smoke = read("smoke.h5", "density", Some(40), 128)?;
-    let smoke = Series { name: "smoke", grid: smoke.0, values: smoke.1, keys: SMOKE };
+    let smoke = series(0, 128)?;
     let stage = Stage::new(&smoke, "")?;
     let (size, runs) = if quick { (128, 1) } else { (512, 3) };
     let threads = stage.device.threads() as f64;
-    println!("smoke on 128³, {size}² pixels, three lights, {threads} threads");
+    println!("{} on 128³, {size}² pixels, three lights, {threads} threads", smoke.name);
     for (what, depth) in [("single scattering", 1), ("all orders", 1000)] {
         let mut best = [f64::INFINITY; 2];
         for run in 0..runs {
             for (global, best) in [false, true].into_iter().zip(&mut best) {
-                let (_, seconds) = stage.run(size, run..run + 1, depth, global);
+                let (_, seconds) = stage.run(size, 8 * run..8 * run + 8, depth, global);
                 *best = best.min(seconds);
             }
         }
-        let rate = |seconds: f64| (size * size) as f64 / seconds / threads;
+        let rate = |seconds: f64| (8 * size * size) as f64 / seconds / threads;
         println!(
-            "{what}: {:.0} samples/s/core with a majorant for each brick, {:.0} with one for all: {:.1} times",
+            "{what}: {:.0} samples/s/core with a majorant for each brick, {:.0} with one for all: {:.2} times",
             rate(best[0]),
             rate(best[1]),
             best[1] / best[0]
@@ -209,40 +225,77 @@ fn speed(quick: bool) -> gloaming::Result<()> {
     Ok(())
 }
 
-fn convergence(quick: bool) -> gloaming::Result<()> {
-    let (size, truth) = if quick { (24, 128) } else { (64, 1024) };
-    println!("\nnormalised RMSE at {size}² by samples a pixel, against {truth} samples; time to 10 % at 512²");
-    println!("series | aperture | lights | 1 | 4 | 16 | 64 | exponent | s to 10 %");
-    for series in series()? {
-        let (lo, hi) = series.grid.bounds();
-        for aperture in [0.0, 0.02, 0.08] {
-            for lights in [1, 2, 4, 8] {
-                let light = |i: usize| {
-                    let angle = 0.8 + std::f64::consts::TAU * i as f64 / lights as f64;
-                    let [x, y] = [angle.cos(), angle.sin()];
-                    format!(
-                        "[[lights]]\nsoftness = 5\nintensity = {}\ndirection = [{x}, {y}, -0.7]\n",
-                        6.0 / lights as f64
-                    )
-                };
-                let lights_keys: String = (0..lights).map(light).collect();
-                let width = aperture * (hi - lo).length();
-                let stage = Stage::new(
-                    &series,
-                    &format!("render.kind = \"pathtrace\"\n{lights_keys}[[cameras]]\naperture = {width}"),
-                )?;
+/// A series through a lens whose aperture is a part of the volume's diagonal, under lights all round.
+fn stage(series: &Series, aperture: f64, lights: usize) -> gloaming::Result<Stage> {
+    let light = |i: usize| {
+        let angle = 0.8 + std::f64::consts::TAU * i as f64 / lights as f64;
+        let ([x, y], intensity) = ([angle.cos(), angle.sin()], 6.0 / lights as f64);
+        format!("[[lights]]\nsoftness = 5\nintensity = {intensity}\ndirection = [{x}, {y}, -0.7]\n")
+    };
+    let lights: String = (0..lights).map(light).collect();
+    let (lo, hi) = series.grid.bounds();
+    let width = aperture * (hi - lo).length();
+    Stage::new(series, &format!("render.kind = \"pathtrace\"\n{lights}[[cameras]]\naperture = {width}"))
+}
+
+const APERTURES: [f64; 3] = [0.0, 0.02, 0.08];
+const LIGHTS: [usize; 4] = [1, 2, 4, 8];
+
+/// The exponent with which the error falls, fitted over all numbers of samples.
+fn slopes(quick: bool) -> gloaming::Result<()> {
+    const SIZE: usize = 16;
+    const COUNTS: [u32; 5] = [1, 4, 16, 64, 256];
+    let (truth, repeats, number) = if quick { (1024, 1, 1) } else { (8192, 4, FILES.len()) };
+    println!("\nnormalised RMSE at {SIZE}² by samples a pixel, against {truth} others, in the mean of {repeats}");
+    println!("series | aperture | lights | 1 | 4 | 16 | 64 | 256 | exponent");
+    let (mut steepest, mut flattest) = (0.0f64, -1.0f64);
+    for number in 0..number {
+        let series = series(number, 48)?;
+        for aperture in APERTURES {
+            for lights in LIGHTS {
+                let stage = stage(&series, aperture, lights)?;
+                let (reference, _) = stage.run(SIZE, 0..truth, 1000, false);
+                let once =
+                    |first: u32, n: u32| error(&stage.run(SIZE, first..first + n, 1000, false).0, &reference).powi(2);
+                let errors = COUNTS.map(|n| {
+                    let squares: f64 = (0..repeats).map(|r| once(truth + r * COUNTS[4], n)).sum();
+                    (squares / f64::from(repeats)).sqrt()
+                });
+                // Least squares of logarithms; the numbers of samples are powers of four about the middle one.
+                let exponent = (0..5).map(|i| (i as f64 - 2.0) * errors[i].ln()).sum::<f64>() / (10.0 * 4f64.ln());
+                (steepest, flattest) = (steepest.min(exponent), flattest.max(exponent));
+                let shown = errors.map(|e| format!("{e:.4}")).join(" | ");
+                println!("{} | {aperture} | {lights} | {shown} | {exponent:.3}", series.name);
+            }
+        }
+    }
+    println!("exponents from {steepest:.3} to {flattest:.3}");
+    Ok(())
+}
+
+/// Seconds to an error of a tenth at 512². Against a reference of finite samples R an error of n others is larger than the true one
+/// by `√(1 + n/R)`, which is taken out.
+fn time(all: bool, quick: bool) -> gloaming::Result<()> {
+    let (size, truth) = if quick { (64, 64) } else { (512, 128) };
+    println!("\nseconds and samples a pixel to a normalised RMSE of 10 % at {size}², against {truth} other samples");
+    println!("series | aperture | lights | samples | error | s");
+    for number in 0..FILES.len() {
+        let series = series(number, 64)?;
+        for aperture in if all { &APERTURES[..] } else { &APERTURES[..1] } {
+            for lights in if all { &LIGHTS[..] } else { &LIGHTS[..1] } {
+                let stage = stage(&series, *aperture, *lights)?;
                 let (reference, _) = stage.run(size, 0..truth, 1000, false);
-                let counts = [1u32, 4, 16, 64];
-                let runs = counts.map(|n| stage.run(size, truth..truth + n, 1000, false));
-                let errors = runs.each_ref().map(|(tallies, _)| error(tallies, &reference));
-                let exponent = (errors[3] / errors[1]).ln() / 16f64.ln();
-                let needed = (errors[2] / 0.1).powi(2) * 16.0;
-                let seconds = needed.ceil() * runs[3].1 / 64.0 * (512.0 / size as f64).powi(2);
-                let [a, b, c, d] = errors;
-                println!(
-                    "{} | {aperture} | {lights} | {a:.3} | {b:.3} | {c:.4} | {d:.4} | {exponent:.2} | {seconds:.1}",
-                    series.name
-                );
+                let mut tallies = vec![Tally::default(); size * size];
+                let (mut samples, mut seconds, mut off) = (0, 0.0, f64::INFINITY);
+                while off > 0.1 && samples < 8 * truth {
+                    // As many at a time as a sixteenth of those that there are, so that little is taken too much.
+                    let more = (samples / 16).max(1);
+                    let next = truth + samples..truth + samples + more;
+                    seconds += stage.add(size, next, 1000, false, &mut tallies);
+                    samples += more;
+                    off = error(&tallies, &reference) / (1.0 + f64::from(samples) / f64::from(truth)).sqrt();
+                }
+                println!("{} | {aperture} | {lights} | {samples} | {off:.3} | {seconds:.1}", series.name);
             }
         }
     }
@@ -250,7 +303,23 @@ fn convergence(quick: bool) -> gloaming::Result<()> {
 }
 
 fn main() -> gloaming::Result<()> {
-    let quick = std::env::args().any(|a| a == "--quick");
-    speed(quick)?;
-    convergence(quick)
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let parts = ["speed", "slopes", "time"];
+    if let Some(unknown) = arguments.iter().find(|a| !parts.contains(&&a[..]) && *a != "--all" && *a != "--quick") {
+        eprintln!("no part or option {unknown}: speed, slopes, time, --all, --quick");
+        std::process::exit(2);
+    }
+    let given = |name: &str| arguments.iter().any(|a| a == name);
+    let wanted = |part: &str| given(part) || !parts.iter().any(|p| given(p));
+    let quick = given("--quick");
+    if wanted("speed") {
+        speed(quick)?;
+    }
+    if wanted("slopes") {
+        slopes(quick)?;
+    }
+    if wanted("time") {
+        time(given("--all"), quick)?;
+    }
+    Ok(())
 }
