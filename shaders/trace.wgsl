@@ -200,7 +200,7 @@ fn begin_walk(origin: vec3<f32>, way: vec3<f32>, near: f32, far: f32, xi: f32) -
     let cell = vec3<i32>(clamp(walk.start + walk.t * walk.slope, vec3(0.0), last));
     walk.brick = cell / i32(params.edge);
     let ahead = vec3<f32>(walk.brick) + select(vec3(0.0), vec3(1.0), walk.slope > vec3(0.0));
-    walk.leave = (ahead * f32(params.edge) - walk.start) * walk.inverse;
+    walk.leave = (select(ahead * f32(params.edge), vec3(-1.0), ahead <= vec3(0.0)) - walk.start) * walk.inverse;
     walk.flight = -log(1.0 - xi);
     return true;
 }
@@ -225,7 +225,9 @@ fn fly() -> bool {
         let up = walk.slope[axis] > 0.0;
         walk.brick[axis] += select(-1, 1, up);
         if walk.brick[axis] < 0 || walk.brick[axis] >= i32(params.bricks[axis]) { return false; }
-        let plane = f32(walk.brick[axis] + select(0, 1, up)) * f32(params.edge);
+        // The first bricks reach as far as the box does, half a value beyond theirs.
+        let ahead = f32(walk.brick[axis] + select(0, 1, up));
+        let plane = select(ahead * f32(params.edge), -1.0, ahead <= 0.0);
         walk.leave[axis] = (plane - walk.start[axis]) * walk.inverse[axis];
     }
     return false;
@@ -317,6 +319,20 @@ fn gradient_at(p: vec3<f32>) -> vec3<f32> {
         normalised(p + vec3(1.0, 0.0, 0.0)) - normalised(p - vec3(1.0, 0.0, 0.0)),
         normalised(p + vec3(0.0, 1.0, 0.0)) - normalised(p - vec3(0.0, 1.0, 0.0)),
         normalised(p + vec3(0.0, 0.0, 1.0)) - normalised(p - vec3(0.0, 0.0, 1.0)),
+    );
+}
+
+// Change of the normalised value along each axis across the cell at a position; 0 beside holes.
+fn slope_at(position: vec3<f32>) -> vec3<f32> {
+    let c = cell_at(position);
+    let f = c.f;
+    let low = vec4(field[c.low.x], field[c.low.y], field[c.low.z], field[c.low.w]);
+    let high = vec4(field[c.high.x], field[c.high.y], field[c.high.z], field[c.high.w]);
+    if any(low < vec4(HOLE)) || any(high < vec4(HOLE)) { return vec3(0.0); }
+    return params.scale * vec3(
+        mix(mix(low.y - low.x, low.w - low.z, f.y), mix(high.y - high.x, high.w - high.z, f.y), f.z),
+        mix(mix(low.z - low.x, low.w - low.y, f.x), mix(high.z - high.x, high.w - high.y, f.x), f.z),
+        mix(mix(high.x - low.x, high.y - low.y, f.x), mix(high.z - low.z, high.w - low.w, f.x), f.y),
     );
 }
 
@@ -483,7 +499,8 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
         if c.found {
             albedo = albedo_of(c.place);
             var gradient = vec3(0.0);
-            if bounce == 0u || SURFACES > 0u { gradient = gradient_at(c.position); }
+            // For surfaces it is smoothed; for the picture's normals the mean over samples does that.
+            if SURFACES > 0u { gradient = gradient_at(c.position); } else if bounce == 0u { gradient = slope_at(c.position); }
             normal = -unit_or_zero(gradient * params.per_length);
             t = c.t;
             met = origin + t * way;

@@ -117,14 +117,14 @@ fn white_furnace() {
 fn beer_lambert_and_isothermal_emission() {
     let g = Grid { size: [8, 8, 8], spacing: [0.25; 3], origin: [0.125; 3] };
     // From far away, through the middle of a cube of edge 2 and depth τ.
-    for tau in [0.3f64, 2.0] {
+    for (tau, from) in [(0.3f64, -3000), (2.0, -3000), (2.0, 3000)] {
         let opacity = 1.0 - (-tau / 2.0 * 0.25).exp();
         // Radiance 1.5 per optical depth; the reference length is a voxel.
         let glow = 1.5 * tau / 2.0 * 0.25;
         let text = format!(
             "{SMALL}render.samples = 256\ntransfer.colormap = \"white\"\ntransfer.albedo = 0.0\n\
              transfer.opacity = [[0.0, {opacity}]]\ntransfer.emission = [[0.0, {glow}]]\n\
-             [[lights]]\nintensity = 5.0\n[[cameras]]\nposition = [1.0, -3000.0, 1.0]\ntarget = [1.0, 0.0, 1.0]\nfov = 1.0\nzoom = 40.0"
+             [[lights]]\nintensity = 5.0\n[[cameras]]\nposition = [1.0, {from}, 1.0]\ntarget = [1.0, 0.0, 1.0]\nfov = 1.0\nzoom = 40.0"
         );
         let frame = picture(&text, g, vec![0.7; g.len()]);
         let (coverage, error) = mean(&frame, 3);

@@ -481,6 +481,9 @@ pub trait Device: Send + Sync {
     ) -> Result<Traced> {
         // Of paths that nobody has followed, any may have been anywhere.
         touched.fill(u64::MAX);
+        if tiles.is_empty() {
+            return Ok(Traced::default());
+        }
         let mut whole = tallies.to_vec();
         let traced = self.trace(trace, picture, &mut whole)?;
         for row in tiles.iter().flat_map(|tile| March::rows(*tile, picture)) {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use glam::{IVec3, Vec3};
+use glam::{IVec3, Vec3, Vec3A};
 
 use super::Trail;
 use super::numbers::Numbers;
@@ -20,12 +20,12 @@ pub(super) struct Medium<'a> {
     /// Values along x, y, z.
     size: [usize; 3],
     /// Lower corner of the last cell.
-    last_cell: Vec3,
-    last: Vec3,
+    last_cell: Vec3A,
+    last: Vec3A,
     /// From one value to the next along each axis; 0 where there is only one.
     stride: [usize; 3],
     /// Index length per world length.
-    pub per_length: Vec3,
+    pub per_length: Vec3A,
     lo: f32,
     scale: f32,
     entries: usize,
@@ -36,12 +36,12 @@ pub(super) struct Medium<'a> {
     chromatic: Vec3,
     gray: bool,
     pub glows: bool,
-    majorant: &'a [f32],
-    bricks: IVec3,
+    /// For each brick its majorant; where that is 0, less the number of bricks that can be crossed at once.
+    bounds: Vec<f32>,
+    /// From one brick to the next along each axis.
+    stride_of_bricks: IVec3,
     edge: f32,
     per_edge: f32,
-    /// Bricks that can be crossed at once: Chebyshev distance to the nearest that is not empty.
-    empty: Vec<u8>,
     clips: &'a [Clip],
     pub surface: Option<Surface<'a>>,
 }
@@ -66,53 +66,66 @@ pub(super) struct Collision {
     /// World length along the ray.
     pub t: f32,
     /// Index position.
-    pub position: Vec3,
+    pub position: Vec3A,
     /// What is there.
     pub entry: Entry,
     /// Extinction of the channel that dims most.
     pub sigma: f32,
 }
 
-/// A ray among the bricks.
+/// A ray among the bricks. Numbers of bricks and of the planes between them are whole numbers in floats.
 struct Walk {
     /// Index position at t = 0, and index length per world length.
-    start: Vec3,
-    slope: Vec3,
-    inverse: Vec3,
+    start: Vec3A,
+    slope: Vec3A,
+    inverse: Vec3A,
+    /// 1 or −1: which way it goes.
+    way: Vec3A,
     t: f32,
     end: f32,
-    brick: IVec3,
-    /// Where the ray leaves the brick along each axis.
-    leave: Vec3,
+    /// Plane at which the ray leaves the brick along each axis, and t there.
+    plane: Vec3A,
+    leave: Vec3A,
+    /// Number of the brick, and what is added to it for a step along each axis.
+    brick: i32,
+    stride: IVec3,
 }
 
 impl Walk {
     /// The ray's part within the volume's box and `range`; `None` where there is none.
     #[inline]
     fn new(medium: &Medium, origin: Vec3, direction: Vec3, range: Range<f32>) -> Option<Self> {
-        let start = origin * medium.per_length;
-        let slope = direction * medium.per_length;
+        let start = Vec3A::from(origin) * medium.per_length;
+        let slope = Vec3A::from(direction) * medium.per_length;
+        let way = Vec3A::select(slope.cmpge(Vec3A::ZERO), Vec3A::ONE, Vec3A::NEG_ONE);
         // A component of nearly 0 is made tiny, so that neither 0/0 nor ∞·0 can arise.
-        let nonzero = |s: f32| if s.abs() < 1e-20 { 1e-20f32.copysign(s) } else { s };
-        let slope = Vec3::new(nonzero(slope.x), nonzero(slope.y), nonzero(slope.z));
+        let slope = Vec3A::select(slope.abs().cmplt(Vec3A::splat(1e-20)), 1e-20 * way, slope);
         let inverse = slope.recip();
-        let (low, high) = ((Vec3::splat(-0.5) - start) * inverse, (medium.last + 0.5 - start) * inverse);
+        let (low, high) = ((Vec3A::splat(-0.5) - start) * inverse, (medium.last + 0.5 - start) * inverse);
         let t = low.min(high).max_element().max(range.start);
         let end = low.max(high).min_element().min(range.end);
         if t.is_nan() || end.is_nan() || t >= end {
             return None;
         }
-        let mut walk = Walk { start, slope, inverse, t, end, brick: IVec3::ZERO, leave: Vec3::ZERO };
+        let (plane, leave, stride) = (Vec3A::ZERO, Vec3A::ZERO, way.as_ivec3() * medium.stride_of_bricks);
+        let mut walk = Walk { start, slope, inverse, way, t, end, plane, leave, brick: 0, stride };
         walk.enter(medium, medium.brick_at(start + t * slope));
         Some(walk)
     }
 
     #[inline]
-    fn enter(&mut self, medium: &Medium, brick: IVec3) {
-        self.brick = brick;
-        let b = brick.as_vec3();
-        let ahead = Vec3::select(self.slope.cmpgt(Vec3::ZERO), b + 1.0, b);
-        self.leave = (ahead * medium.edge - self.start) * self.inverse;
+    fn enter(&mut self, medium: &Medium, brick: Vec3A) {
+        self.plane = brick + 0.5 * (self.way + 1.0);
+        self.leave = self.at(medium, self.plane);
+        let b = brick.as_ivec3() * medium.stride_of_bricks;
+        self.brick = b.x + b.y + b.z;
+    }
+
+    /// t at planes. The first bricks reach as far as the box does, half a value beyond theirs; the last reach farther.
+    #[inline]
+    fn at(&self, medium: &Medium, plane: Vec3A) -> Vec3A {
+        let position = Vec3A::select(plane.cmple(Vec3A::ZERO), Vec3A::NEG_ONE, plane * medium.edge);
+        (position - self.start) * self.inverse
     }
 
     /// Where the ray leaves the brick, or ends.
@@ -121,57 +134,31 @@ impl Walk {
         self.leave.min_element().min(self.end)
     }
 
-    /// On to the next brick; false behind the last.
+    /// On to the next brick; false behind the last. Through an edge between bricks it goes along both axes at once.
     #[inline]
     fn step(&mut self, medium: &Medium, exit: f32) -> bool {
         self.t = exit.max(self.t);
-        if exit >= self.end {
-            return false;
-        }
-        let axis = if exit == self.leave.x {
-            0
-        } else if exit == self.leave.y {
-            1
-        } else {
-            2
-        };
-        let up = self.slope[axis] > 0.0;
-        self.brick[axis] += if up { 1 } else { -1 };
-        if self.brick[axis] < 0 || self.brick[axis] >= medium.bricks[axis] {
-            return false;
-        }
-        let plane = (self.brick[axis] + i32::from(up)) as f32 * medium.edge;
-        self.leave[axis] = (plane - self.start[axis]) * self.inverse[axis];
-        true
+        let axes = self.leave.cmple(Vec3A::splat(exit));
+        self.plane += Vec3A::select(axes, self.way, Vec3A::ZERO);
+        self.leave = self.at(medium, self.plane);
+        let axes = axes.bitmask() as i32;
+        self.brick += (axes & 1) * self.stride.x + (axes >> 1 & 1) * self.stride.y + (axes >> 2 & 1) * self.stride.z;
+        exit < self.end
     }
 
     /// On to the first brick that is not within `reach` bricks of this one, all of which are empty; false behind the last.
     #[inline]
     fn leap(&mut self, medium: &Medium, reach: f32) -> bool {
-        let b = self.brick.as_vec3();
-        let ahead = Vec3::select(self.slope.cmpgt(Vec3::ZERO), b + reach, b - (reach - 1.0));
-        let leave = (ahead * medium.edge - self.start) * self.inverse;
+        let plane = self.plane + (reach - 1.0) * self.way;
+        let leave = self.at(medium, plane);
         let exit = leave.min_element();
-        if exit >= self.end {
-            return false;
-        }
         self.t = exit.max(self.t);
-        let axis = if exit == leave.x {
-            0
-        } else if exit == leave.y {
-            1
-        } else {
-            2
-        };
-        let mut brick = medium.brick_at(self.start + self.t * self.slope);
+        let up = 0.5 * (self.way + 1.0);
         // Along the axis by which it leaves, rounding has no say.
-        let up = self.slope[axis] > 0.0;
-        brick[axis] = self.brick[axis] + if up { reach as i32 } else { -(reach as i32) };
-        if brick[axis] < 0 || brick[axis] >= medium.bricks[axis] {
-            return false;
-        }
+        let brick = medium.brick_at(self.start + self.t * self.slope);
+        let brick = Vec3A::select(leave.cmple(Vec3A::splat(exit)), plane + self.way - up, brick);
         self.enter(medium, brick);
-        true
+        exit < self.end
     }
 }
 
@@ -186,15 +173,18 @@ impl<'a> Medium<'a> {
             (&gradient[..len], graded.scale(), (graded.rows() - 1) as f32)
         };
         let counts = trace.bricks.counts();
+        let ahead = bricks_ahead(&trace.bricks, trace.majorant);
+        let bound = |(majorant, ahead): (&f32, u8)| if *majorant > 0.0 { *majorant } else { -f32::from(ahead) };
+        let bounds = trace.majorant.iter().zip(ahead).map(bound);
         let reach = |a: usize, stride: usize| if size[a] > 1 { stride } else { 0 };
         Medium {
             field: &field[..len],
             gradient: table.graded.as_ref().map(rows),
             size,
-            last_cell: Vec3::from(size.map(|n| n.saturating_sub(2) as f32)),
-            last: Vec3::from(size.map(|n| n as f32 - 1.0)),
+            last_cell: Vec3A::from(size.map(|n| n.saturating_sub(2) as f32)),
+            last: Vec3A::from(size.map(|n| n as f32 - 1.0)),
             stride: [reach(0, 1), reach(1, size[0]), reach(2, size[0] * size[1])],
-            per_length: Vec3::from(trace.grid.spacing.map(|s| (1.0 / s) as f32)),
+            per_length: Vec3A::from(trace.grid.spacing.map(|s| (1.0 / s) as f32)),
             lo: table.lo,
             scale: table.scale(),
             entries: table.extinction.len(),
@@ -204,11 +194,10 @@ impl<'a> Medium<'a> {
             chromatic: table.chromatic.into(),
             gray: table.chromatic == [1.0; 3],
             glows: !table.emission.is_empty(),
-            majorant: trace.majorant,
-            bricks: IVec3::from(counts.map(|n| n as i32)),
+            bounds: bounds.collect(),
+            stride_of_bricks: IVec3::new(1, counts[0] as i32, (counts[0] * counts[1]) as i32),
             edge: trace.bricks.edge as f32,
             per_edge: 1.0 / trace.bricks.edge as f32,
-            empty: bricks_ahead(&trace.bricks, trace.majorant),
             clips: trace.clips,
             surface: trace.surface,
         }
@@ -216,38 +205,39 @@ impl<'a> Medium<'a> {
 
     /// The brick of the cell at an index position.
     #[inline]
-    fn brick_at(&self, position: Vec3) -> IVec3 {
-        let cell = position.max(Vec3::ZERO).min(self.last).as_ivec3();
-        ((cell.as_vec3() + 0.5) * self.per_edge).as_ivec3()
+    fn brick_at(&self, position: Vec3A) -> Vec3A {
+        let cell = position.max(Vec3A::ZERO).min(self.last).trunc();
+        ((cell + 0.5) * self.per_edge).trunc()
     }
 
     /// Lower corner of the cell at an index position, and where in the cell that is.
-    #[inline]
-    fn cell(&self, position: Vec3) -> (usize, Vec3) {
-        let p = position.max(Vec3::ZERO).min(self.last);
+    #[inline(always)]
+    fn cell(&self, position: Vec3A) -> (usize, Vec3A) {
+        let p = position.max(Vec3A::ZERO).min(self.last);
         let cell = p.min(self.last_cell).as_ivec3();
         let [nx, ny, _] = self.size;
-        ((cell.z as usize * ny + cell.y as usize) * nx + cell.x as usize, p - cell.as_vec3())
+        ((cell.z as usize * ny + cell.y as usize) * nx + cell.x as usize, p - cell.as_vec3a())
     }
 
     /// The field, or its gradient magnitudes, in a cell.
-    #[inline]
-    fn interpolate(&self, of: &[f32], (at, f): (usize, Vec3)) -> f32 {
+    #[inline(always)]
+    fn interpolate(&self, of: &[f32], (at, f): (usize, Vec3A)) -> f32 {
         debug_assert_eq!(of.len(), self.field.len());
         let [x, y, z] = self.stride;
         // SAFETY: a cell's lower corner is at most the last but one along each axis that has more than one value, and the
         // stride along the others is 0, so that all corners are inside the grid, to whose length `new` has cut both.
         let v = |offset: usize| unsafe { *of.get_unchecked(at + offset) };
-        let g = Vec3::ONE - f;
+        let corners = [v(0), v(x), v(y), v(x + y), v(z), v(x + z), v(y + z), v(x + y + z)];
+        let g = Vec3A::ONE - f;
         // Exact at both ends, also beside a hole.
-        let row = |offset: usize| v(offset) * g.x + v(offset + x) * f.x;
-        let plane = |offset: usize| row(offset) * g.y + row(offset + y) * f.y;
-        plane(0) * g.z + plane(z) * f.z
+        let rows = [0, 2, 4, 6].map(|i| corners[i] * g.x + corners[i + 1] * f.x);
+        let planes = [0, 2].map(|i| rows[i] * g.y + rows[i + 1] * f.y);
+        planes[0] * g.z + planes[1] * f.z
     }
 
     /// The value at an index position; below [`HOLE`] where it touches a hole.
     #[inline]
-    fn value(&self, position: Vec3) -> f32 {
+    fn value(&self, position: Vec3A) -> f32 {
         self.interpolate(self.field, self.cell(position))
     }
 
@@ -273,7 +263,7 @@ impl<'a> Medium<'a> {
         self.colour(self.albedo, entry)
     }
 
-    #[inline]
+    #[inline(always)]
     fn sigma(&self, Entry { at: (below, fraction), row: (first, down) }: Entry) -> f32 {
         let above = (below + 1).min(self.entries - 1);
         let of = |first: usize| {
@@ -284,11 +274,11 @@ impl<'a> Medium<'a> {
     }
 
     /// Where an index position lies in the table; `None` in holes and where the medium is cut away.
-    #[inline]
-    fn look(&self, position: Vec3) -> Option<Entry> {
+    #[inline(always)]
+    fn look(&self, position: Vec3A) -> Option<Entry> {
         let cell = self.cell(position);
         let value = self.interpolate(self.field, cell);
-        if value < HOLE || !self.clips.iter().all(|clip| clip.keeps(position)) {
+        if value < HOLE || !self.clips.iter().all(|clip| clip.keeps(position.into())) {
             return None;
         }
         let at = ((value - self.lo) * self.scale).clamp(0.0, 1.0) * (self.entries - 1) as f32;
@@ -302,46 +292,44 @@ impl<'a> Medium<'a> {
     }
 
     /// Calls `event` at each tentative collision along a part of a ray, with the position, t and the majorant there, until it says
-    /// no. `first` is the number that draws the first free flight.
+    /// no. `first` is the number that draws the first free flight; the camera's when there is none.
     #[inline]
     fn fly(
         &self,
         (origin, direction): (Vec3, Vec3),
         range: Range<f32>,
-        first: f32,
+        first: Option<f32>,
         numbers: &mut Numbers,
         trail: &mut Trail,
-        mut event: impl FnMut(&mut Numbers, &mut Trail, Vec3, f32, f32) -> bool,
+        mut event: impl FnMut(&mut Numbers, &mut Trail, Vec3A, f32, f32) -> bool,
     ) {
         let Some(mut walk) = Walk::new(self, origin, direction, range) else { return };
-        let mut depth = -(1.0 - first).ln();
-        loop {
-            let b = ((walk.brick.z * self.bricks.y + walk.brick.y) * self.bricks.x + walk.brick.x) as usize;
-            trail.touch(b);
-            let majorant = self.majorant[b];
-            if majorant > 0.0 {
+        let mut depth = -(1.0 - first.unwrap_or_else(|| numbers.pair(2)[0])).ln();
+        // Within the box, which lies within the bricks, there is always one.
+        while let Some(&bound) = self.bounds.get(walk.brick as usize) {
+            trail.touch(walk.brick as usize);
+            let on = if bound > 0.0 {
                 let exit = walk.exit();
                 loop {
-                    let ahead = depth / majorant;
-                    if walk.t + ahead >= exit {
-                        depth -= (exit - walk.t).max(0.0) * majorant;
+                    let rest = (exit - walk.t).max(0.0) * bound;
+                    if depth >= rest {
+                        depth -= rest;
                         break;
                     }
-                    walk.t += ahead;
-                    if !event(numbers, trail, walk.start + walk.t * walk.slope, walk.t, majorant) {
+                    walk.t += depth / bound;
+                    if !event(numbers, trail, walk.start + walk.t * walk.slope, walk.t, bound) {
                         return;
                     }
                     depth = -(1.0 - numbers.draw()).ln();
                 }
-                if !walk.step(self, exit) {
-                    return;
-                }
+                walk.step(self, exit)
+            } else if bound < -1.0 {
+                walk.leap(self, -bound)
             } else {
-                let reach = self.empty[b];
-                let on = if reach > 1 { walk.leap(self, f32::from(reach)) } else { walk.step(self, walk.exit()) };
-                if !on {
-                    return;
-                }
+                walk.step(self, walk.exit())
+            };
+            if !on {
+                return;
             }
         }
     }
@@ -353,7 +341,7 @@ impl<'a> Medium<'a> {
         &self,
         ray: (Vec3, Vec3),
         range: Range<f32>,
-        first: f32,
+        first: Option<f32>,
         numbers: &mut Numbers,
         weight: &mut Vec3,
         glow: &mut Vec3,
@@ -399,7 +387,7 @@ impl<'a> Medium<'a> {
     ) -> Vec3 {
         let mut left = Vec3::ONE;
         let first = numbers.draw();
-        self.fly(ray, range, first, numbers, trail, |numbers, trail, position, _, majorant| {
+        self.fly(ray, range, Some(first), numbers, trail, |numbers, trail, position, _, majorant| {
             let Some(entry) = self.look(position) else { return true };
             let sigma = self.sigma(entry);
             trail.exceeded += u64::from(sigma > majorant * 1.0001);
@@ -421,13 +409,33 @@ impl<'a> Medium<'a> {
     /// Transmittance below which a shadow ray goes on in every second case only.
     const FAINT: f32 = 0.1;
 
+    /// Change of the normalised value along each axis across the cell at an index position; 0 beside holes.
+    #[inline]
+    pub fn slope(&self, position: Vec3A) -> Vec3 {
+        let ((at, f), [x, y, z]) = (self.cell(position), self.stride);
+        let v = |offset: usize| self.field[at + offset];
+        let low = [v(0), v(x), v(y), v(x + y)];
+        let high = [v(z), v(x + z), v(y + z), v(x + y + z)];
+        if low.iter().chain(&high).any(|v| *v < HOLE) {
+            return Vec3::ZERO;
+        }
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        let along_x =
+            mix(mix(low[1] - low[0], low[3] - low[2], f.y), mix(high[1] - high[0], high[3] - high[2], f.y), f.z);
+        let along_y =
+            mix(mix(low[2] - low[0], low[3] - low[1], f.x), mix(high[2] - high[0], high[3] - high[1], f.x), f.z);
+        let along_z =
+            mix(mix(high[0] - low[0], high[1] - low[1], f.x), mix(high[2] - low[2], high[3] - low[3], f.x), f.y);
+        self.scale * Vec3::new(along_x, along_y, along_z)
+    }
+
     /// Change of the normalised value from voxel to voxel along each axis, by central differences; holes count as 0.
     #[inline]
-    pub fn gradient(&self, position: Vec3) -> Vec3 {
-        let at = |offset: Vec3| {
+    pub fn gradient(&self, position: Vec3A) -> Vec3 {
+        let at = |offset: Vec3A| {
             let value = self.value(position + offset);
             if value >= HOLE { ((value - self.lo) * self.scale).clamp(0.0, 1.0) } else { 0.0 }
         };
-        0.5 * Vec3::new(at(Vec3::X) - at(-Vec3::X), at(Vec3::Y) - at(-Vec3::Y), at(Vec3::Z) - at(-Vec3::Z))
+        0.5 * Vec3::new(at(Vec3A::X) - at(-Vec3A::X), at(Vec3A::Y) - at(-Vec3A::Y), at(Vec3A::Z) - at(-Vec3A::Z))
     }
 }

@@ -156,16 +156,24 @@ impl<'a> Kernel<'a> {
 
     /// Adds the samples of a pixel.
     fn pixel(&self, pixel: [usize; 2], tally: &mut Tally, trail: &mut Trail) {
-        for sample in self.trace.samples.clone() {
-            let Found { radiance, first } = self.path(pixel, sample, trail);
-            tally.add(radiance, first);
+        let number = (pixel[1] * self.picture[0] + pixel[0]) as u32;
+        let mut numbers = Numbers::new(number, self.trace.seed);
+        let (mut first, end) = (self.trace.samples.start, self.trace.samples.end);
+        while first < end {
+            // Where rays go depends on long chains of operations, which are many at a time here.
+            let places: [[f32; 2]; 8] = std::array::from_fn(|i| numbers.spread(0, first.wrapping_add(i as u32)));
+            for (sample, place) in (first..end).zip(places) {
+                numbers.begin(sample);
+                let Found { radiance, first } = self.path(pixel, place, &mut numbers, trail);
+                tally.add(radiance, first);
+            }
+            first = first.saturating_add(8);
         }
     }
 
-    /// The ray of a sample from the camera.
+    /// The ray of a sample from the camera, through a place in a pixel.
     #[inline]
-    fn ray(&self, [x, y]: [usize; 2], numbers: &Numbers) -> (Vec3, Vec3) {
-        let [u, v] = numbers.pair(0);
+    fn ray(&self, [x, y]: [usize; 2], [u, v]: [f32; 2], numbers: &Numbers) -> (Vec3, Vec3) {
         let at = |i: usize, u: f32, n: usize| 2.0 * (i as f32 + u) / n as f32 - 1.0;
         let (px, py) = (at(x, u, self.picture[0]), at(y, v, self.picture[1]));
         let way = self.trace.camera.forward + px * self.right - py * self.up;
@@ -181,12 +189,9 @@ impl<'a> Kernel<'a> {
     }
 
     #[inline]
-    fn path(&self, pixel: [usize; 2], sample: u32, trail: &mut Trail) -> Found {
+    fn path(&self, pixel: [usize; 2], place: [f32; 2], numbers: &mut Numbers, trail: &mut Trail) -> Found {
         let trace = self.trace;
-        let number = (pixel[1] * self.picture[0] + pixel[0]) as u32;
-        let mut numbers = Numbers::new(number, sample, trace.seed);
-        let ray = self.ray(pixel, &numbers);
-        let (mut origin, mut way) = ray;
+        let (mut origin, mut way) = self.ray(pixel, place, numbers);
         let mut found = Found::default();
         let mut weight = Vec3::ONE;
         // Density with which the way was chosen.
@@ -196,12 +201,13 @@ impl<'a> Kernel<'a> {
             if bounce > 0 && bounce == trace.depth && self.blind() {
                 break;
             }
-            let [flight, choice] = if bounce == 0 { numbers.pair(2) } else { [numbers.draw(), numbers.draw()] };
+            // Most rays from the camera meet nothing: theirs are found when they are needed.
+            let drawn = (bounce > 0).then(|| [numbers.draw(), numbers.draw()]);
             let end = self.fly(
                 (origin, way),
-                flight,
+                drawn.map(|[flight, _]| flight),
                 (bounce > 0).then_some(pdf),
-                &mut numbers,
+                numbers,
                 &mut weight,
                 &mut found,
                 trail,
@@ -210,11 +216,13 @@ impl<'a> Kernel<'a> {
                 None => break,
                 Some(End::Medium(collision)) => {
                     let albedo = self.medium.albedo(collision.entry);
-                    let gradient = match bounce == 0 || self.medium.surface.is_some() {
-                        true => self.medium.gradient(collision.position),
-                        false => Vec3::ZERO,
+                    // For surfaces it is smoothed; for the picture's normals the mean over samples does that.
+                    let gradient = match self.medium.surface {
+                        Some(_) => self.medium.gradient(collision.position),
+                        None if bounce == 0 => self.medium.slope(collision.position),
+                        None => Vec3::ZERO,
                     };
-                    let normal = -(gradient * self.medium.per_length).normalize_or_zero();
+                    let normal = -(gradient * Vec3::from(self.medium.per_length)).normalize_or_zero();
                     let lobe = self.lobe(&collision, albedo, gradient, way, numbers.draw());
                     (origin + collision.t * way, lobe, First { albedo, normal, depth: collision.t })
                 }
@@ -234,7 +242,8 @@ impl<'a> Kernel<'a> {
 
             let xi = if bounce == 0 { numbers.pair(3) } else { [numbers.draw(), numbers.draw()] };
             let third = numbers.draw();
-            found.radiance += weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], &mut numbers, trail);
+            let [_, choice] = drawn.unwrap_or_else(|| numbers.pair(2));
+            found.radiance += weight * self.light(&lobe, here, way, choice, [xi[0], xi[1], third], numbers, trail);
 
             let xi = if bounce == 0 { numbers.pair(4) } else { [numbers.draw(), numbers.draw()] };
             let to = lobe.sample(way, [xi[0], xi[1], numbers.draw()]);
@@ -270,7 +279,7 @@ impl<'a> Kernel<'a> {
     fn fly(
         &self,
         ray: (Vec3, Vec3),
-        mut flight: f32,
+        mut flight: Option<f32>,
         pdf: Option<f32>,
         numbers: &mut Numbers,
         weight: &mut Vec3,
@@ -292,7 +301,7 @@ impl<'a> Kernel<'a> {
             }
             *radiance += *weight * hit.radiance * self.share(emitter, &hit, pdf);
             from = hit.distance;
-            flight = numbers.draw();
+            flight = Some(numbers.draw());
         }
         let collision = self.medium.collide(ray, from..end, flight, numbers, weight, radiance, trail);
         let end = collision.map(End::Medium).or(wall.map(End::Mesh));
@@ -366,12 +375,28 @@ impl<'a> Kernel<'a> {
     /// Whether a collision is with a surface or with a cloud (Kroes et al. 2012, (1)–(3)).
     #[inline]
     fn lobe(&self, collision: &Collision, albedo: Vec3, gradient: Vec3, way: Vec3, xi: f32) -> Lobe {
-        let cloud = Lobe::Phase { phase: self.trace.phase, albedo };
-        let Some(surface) = self.medium.surface else { return cloud };
-        let normal = -(gradient * self.medium.per_length).normalize_or_zero();
-        let chance = if normal == Vec3::ZERO { 0.0 } else { reflects(&surface, collision.sigma, gradient.length()) };
+        match &self.medium.surface {
+            Some(surface) => self.lobe_of(surface, collision, albedo, gradient, way, xi),
+            None => Lobe::Phase { phase: self.trace.phase, albedo },
+        }
+    }
+
+    /// The same where there are surfaces. On its own, or what it needs is worked out for every path, from memory that holds nothing where
+    /// there are none: numbers so small that they take processors a hundred cycles.
+    #[inline(never)]
+    fn lobe_of(
+        &self,
+        surface: &Surface,
+        collision: &Collision,
+        albedo: Vec3,
+        gradient: Vec3,
+        way: Vec3,
+        xi: f32,
+    ) -> Lobe {
+        let normal = -(gradient * Vec3::from(self.medium.per_length)).normalize_or_zero();
+        let chance = if normal == Vec3::ZERO { 0.0 } else { reflects(surface, collision.sigma, gradient.length()) };
         if xi >= chance {
-            return cloud;
+            return Lobe::Phase { phase: self.trace.phase, albedo };
         }
         let [diffuse, specular, roughness, ior] = Medium::column(surface.columns, collision.entry.at);
         let facing = (ior - 1.0) / (ior + 1.0);
@@ -433,13 +458,14 @@ pub fn aperture(lens: Lens, [u, v]: [f32; 2]) -> [f32; 2] {
 impl Tally {
     #[inline]
     fn add(&mut self, radiance: Vec3, first: Option<First>) {
-        // One sample that is not finite would be a pixel that never is.
-        let radiance = if radiance.is_finite() { radiance } else { Vec3::ZERO };
         self.samples += 1;
-        for c in 0..3 {
-            let value = f64::from(radiance[c]);
-            self.radiance[c] += value;
-            self.squares[c] += value * value;
+        // One sample that is not finite would be a pixel that never is.
+        if radiance != Vec3::ZERO && radiance.is_finite() {
+            for c in 0..3 {
+                let value = f64::from(radiance[c]);
+                self.radiance[c] += value;
+                self.squares[c] += value * value;
+            }
         }
         if let Some(First { albedo, normal, depth }) = first {
             self.coverage += 1.0;

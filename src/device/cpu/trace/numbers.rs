@@ -6,30 +6,30 @@
 
 use crate::device::random::{pcg4d, unit};
 
-/// Owen's scrambling of the binary digits of a number.
+/// Owen's scrambling of the binary digits of a number, both in reverse order.
 #[inline]
-fn scramble(x: u32, seed: u32) -> u32 {
-    let mut x = x.reverse_bits();
+fn scramble(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
     x = x.wrapping_mul((seed >> 16) | 1);
     x ^= x.wrapping_mul(0x0552_6c56);
-    x ^= x.wrapping_mul(0x53a2_2864);
-    x.reverse_bits()
+    x ^ x.wrapping_mul(0x53a2_2864)
 }
 
-/// The second dimension of Sobol's sequence: Pascal's triangle modulo 2.
+/// The second dimension of Sobol's sequence, in reverse order: Pascal's triangle modulo 2.
 #[inline]
 fn pascal(mut x: u32) -> u32 {
     x ^= (x >> 16) & 0x0000_ffff;
     x ^= (x >> 8) & 0x00ff_00ff;
     x ^= (x >> 4) & 0x0f0f_0f0f;
     x ^= (x >> 2) & 0x3333_3333;
-    x ^= (x >> 1) & 0x5555_5555;
-    x.reverse_bits()
+    x ^ ((x >> 1) & 0x5555_5555)
 }
 
-/// The numbers of one path.
+/// Pairs that are spread evenly over the samples of a pixel.
+pub const PAIRS: usize = 5;
+
+/// The numbers of one path after another of a pixel.
 #[derive(Debug, Clone)]
 pub struct Numbers {
     pixel: u32,
@@ -37,13 +37,22 @@ pub struct Numbers {
     seed: u32,
     count: u32,
     block: [u32; 4],
+    /// For each pair the scrambling of the order of samples and of both numbers.
+    scramblings: [[u32; 4]; PAIRS],
 }
 
 impl Numbers {
-    /// Of a sample of a pixel.
+    /// Of the samples of a pixel; [`Numbers::begin`] comes before each.
     #[inline]
-    pub fn new(pixel: u32, sample: u32, seed: u32) -> Self {
-        Numbers { pixel, sample, seed, count: 0, block: [0; 4] }
+    pub fn new(pixel: u32, seed: u32) -> Self {
+        let scramblings = std::array::from_fn(|pair| pcg4d([pixel, !(pair as u32), 0x5bd1_e995, seed]));
+        Numbers { pixel, sample: 0, seed, count: 0, block: [0; 4], scramblings }
+    }
+
+    /// Begins a sample.
+    #[inline]
+    pub fn begin(&mut self, sample: u32) {
+        (self.sample, self.count) = (sample, 0);
     }
 
     /// The next independent number.
@@ -57,12 +66,18 @@ impl Numbers {
         unit(self.block[at])
     }
 
-    /// A pair that is spread evenly over the samples of the pixel.
+    /// One of the [`PAIRS`].
     #[inline]
-    pub fn pair(&self, dimension: u32) -> [f32; 2] {
-        let [order, x, y, _] = pcg4d([self.pixel, !dimension, 0x5bd1_e995, self.seed]);
-        let i = scramble(self.sample, order);
-        [unit(scramble(i.reverse_bits(), x)), unit(scramble(pascal(i), y))]
+    pub fn pair(&self, pair: usize) -> [f32; 2] {
+        self.spread(pair, self.sample)
+    }
+
+    /// The same of any sample.
+    #[inline]
+    pub fn spread(&self, pair: usize, sample: u32) -> [f32; 2] {
+        let [order, x, y, _] = self.scramblings[pair];
+        let i = scramble(sample.reverse_bits(), order).reverse_bits();
+        [unit(scramble(i, x).reverse_bits()), unit(scramble(pascal(i), y).reverse_bits())]
     }
 }
 
@@ -78,7 +93,7 @@ mod tests {
                 let n = 1u32 << k;
                 for start in [0, n, 5 * n] {
                     let points: Vec<_> =
-                        (start..start + n).map(|s| Numbers::new(pixel, s, 9).pair(dimension)).collect();
+                        (start..start + n).map(|s| Numbers::new(pixel, 9).spread(dimension, s)).collect();
                     for wide in 0..=k {
                         let (columns, rows) = (1usize << wide, 1usize << (k - wide));
                         let mut seen = vec![0; n as usize];
@@ -97,7 +112,8 @@ mod tests {
     fn hashes_are_even_and_uncorrelated() {
         let n = 1 << 14;
         let draw = |pixel, sample, skip: usize| {
-            let mut numbers = Numbers::new(pixel, sample, 3);
+            let mut numbers = Numbers::new(pixel, 3);
+            numbers.begin(sample);
             (0..=skip).map(|_| numbers.draw()).last().unwrap()
         };
         let series: [Box<dyn Fn(u32) -> f32>; 3] =

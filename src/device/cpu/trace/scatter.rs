@@ -164,7 +164,7 @@ mod tests {
         for g in [-0.7f32, -0.0005, 0.0, 0.3, 0.85] {
             for of in [Phase::HenyeyGreenstein(g), Phase::Schlick(g)] {
                 let (n, bins) = (100_000, 32);
-                let mut draw = super::super::numbers::Numbers::new(1, 2, 3);
+                let mut draw = super::super::numbers::Numbers::new(1, 3);
                 let mut counts = vec![0.0f64; bins];
                 let mut mean = 0.0f64;
                 for _ in 0..n {
