@@ -12,6 +12,10 @@ use crate::device::{Buffer, RUN};
 use crate::error::{Error, Result};
 use crate::scene::ScratchKey;
 
+/// Values that are written at once. The system keeps a file in pieces as they were written and maps a piece as a whole: of pieces
+/// of a MiB all of a volume would be in memory sooner than anybody can look.
+const PIECE: usize = 1 << 12;
+
 /// Values in a file, as this machine has them in memory or half as long.
 pub(super) struct Scratch {
     folder: PathBuf,
@@ -57,7 +61,7 @@ impl Scratch {
         self.with(|file| {
             file.seek(SeekFrom::Start(self.precision.bytes() * at as u64))?;
             match self.precision {
-                ScratchKey::F32 => file.write_all(bytemuck::cast_slice(values)),
+                ScratchKey::F32 => values.chunks(PIECE).try_for_each(|v| file.write_all(bytemuck::cast_slice(v))),
                 ScratchKey::F16 => {
                     let mut halves = vec![0u16; RUN.min(values.len())];
                     for values in values.chunks(RUN) {

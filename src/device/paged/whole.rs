@@ -22,10 +22,6 @@ use crate::scene::ScratchKey;
 /// Time between two looks at what is in memory.
 const LOOK: Duration = Duration::from_micros(500);
 
-/// Values that are written at once to what will be looked at. The system keeps a file in pieces as they were written, and brings a
-/// piece as a whole: of pieces of a MiB all of a volume is in memory sooner than anybody can look.
-const PIECE: usize = 1 << 12;
-
 impl Paged {
     /// Runs a kernel on whole volumes; `beside` bytes are held by those that ask for it.
     pub(super) fn whole<T>(
@@ -136,10 +132,8 @@ impl Paged {
     fn spill(&self, store: &Store) -> Result<Scratch> {
         let scratch = Scratch::new(&self.folder, store.len, ScratchKey::F32)?;
         let mut room = vec![];
-        let mut write = |at: usize, len: usize, values: &Buffer| {
-            let pieces = self.on_host(values, 0, len, &mut room)?.chunks(PIECE).enumerate();
-            pieces.into_iter().try_for_each(|(n, piece)| scratch.write(at + n * PIECE, piece))
-        };
+        let mut write =
+            |at: usize, len: usize, values: &Buffer| scratch.write(at, self.on_host(values, 0, len, &mut room)?);
         match &store.content {
             Content::Resident(inner, _) => write(0, store.len, inner)?,
             _ => self.parts(store, write)?,
