@@ -277,7 +277,7 @@ fn slopes(quick: bool) -> gloaming::Result<()> {
 /// takes a sixteenth of the time. Against a reference of finite samples R an error of n others is larger than the true one by
 /// `√(1 + n/R)`, which is taken out.
 fn time(all: bool, quick: bool) -> gloaming::Result<()> {
-    let (size, truth) = if quick { (32, 256) } else { (128, 1024) };
+    let (size, truth): (usize, u32) = if quick { (32, 256) } else { (128, 1024) };
     let times = (512 / size).pow(2) as f64;
     println!(
         "\nseconds to a normalised RMSE of 10 % at 512²: {times} times those at {size}², against {truth} other samples"
