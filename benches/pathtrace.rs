@@ -41,7 +41,7 @@ const WAVE: &str = "transfer.colormap = \"white\"\ntransfer.opacity = [[0.0, 0.6
 /// File, field, layout where there is no header, step (the last where there are fewer), and how it is shown.
 const FILES: [(&str, Option<&str>, Option<&str>, usize, &str); 5] = [
     ("smoke.h5", Some("density"), None, 40, SMOKE),
-    ("smoke.h5", Some("density"), None, 24, SMOKE),
+    ("smoke.h5", Some("density"), None, 12, SMOKE),
     ("gray_scott_32.raw", None, Some("dims=32x32x32,dtype=f64le,offset=24,steps=12"), 11, LIQUID),
     ("openpmd_gray_scott.h5", Some("U"), None, 19, SOLVENT),
     ("meep_ez.h5", Some("ez"), None, 39, WAVE),
