@@ -162,7 +162,9 @@ mod tests {
             let grid = Grid { size, spacing: [0.5, 1.0, 0.75], origin: [10.0, -3.0, 0.0] };
             let value = |i: usize| {
                 let p = [i % size[0], i / size[0] % size[1], i / (size[0] * size[1])].map(|c| c as f32);
-                let blob = |c: [f32; 3], r: f32| (1.0 - Vec3::from(p).distance(c.into()) / r).max(0.0);
+                // In the plane of the values where they have only one along x.
+                let flat = |c: [f32; 3]| Vec3::from(c).min(Vec3::from(size.map(|n| (n - 1) as f32)));
+                let blob = |c: [f32; 3], r: f32| (1.0 - Vec3::from(p).distance(flat(c)) / r).max(0.0);
                 if i % 97 == 0 { EMPTY } else { blob([8.0, 7.0, 9.0], 9.0) + blob([15.0, 12.0, 16.0], 7.0) }
             };
             let field = Buffer(Storage::Host((0..grid.len()).map(value).collect()));
