@@ -4,8 +4,8 @@
 //! survive steps. Each solve starts from what the volume holds. Each model has a file of its own.
 //!
 //! Memory of the physical model, in f32: 2 values and one more for each distant light a voxel of the grid of direct light, and
-//! [`ordinates::Scattered::volumes`] and one more for each light a voxel of the grid of scattered light: 25 where one channel
-//! stands for all and scattering is isotropic. All of it is taken in the first steps and used again.
+//! [`ordinates::Scattered::volumes`] a voxel of the grid of scattered light: 30, and 2 for each light, where one channel stands for
+//! all and scattering is isotropic. All of it is taken in the first steps and used again.
 
 use crate::device::{Cone, Device, Lamp, Term, Weight};
 use crate::error::{Error, Result};

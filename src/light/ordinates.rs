@@ -214,8 +214,8 @@ impl Scattered {
         // Extinction, scattering and emission as they are and in the box; extinction continued past its edges, and two more of
         // scratch; ones.
         let optics = 1 + channels * (1 + usize::from(glows)) + 2 + usize::from(glows) + 3 + 1;
-        // Coarse grids take an eighth each.
-        states * parts + optics + 2 * lights + 1
+        // Of a coarse grid, ten volumes of an eighth.
+        states * parts + optics + 2 * lights + 2
     }
 
     /// True when the kept solution is on this grid with as many channels and the same g.
@@ -378,10 +378,12 @@ impl Scattered {
             let residual = equation.apply(x, value, source)?;
             passes += 1;
             budget.spent();
-            let done = residual.change <= target(residual.peak);
+            let goal = target(residual.peak);
+            let done = residual.change <= goal;
             if !done {
                 // A guess that loses still helps the mixture.
-                anderson.take(device, x, value, Some(coarse))?;
+                let correction = Some(&mut *coarse).filter(|_| residual.change > iterate::NEAR * goal);
+                anderson.take(device, x, value, correction)?;
             }
             if best.is_none_or(|(b, _)| residual.change < b.change) {
                 best = Some((residual, guess));

@@ -47,6 +47,8 @@ pub(super) struct Kept {
     sum: Vec<f32>,
     entry: Aligned,
     exit: Aligned,
+    /// What every thread has room for: values of its layers, of a row and of turned layers.
+    room: [usize; 3],
 }
 
 /// One ordinate as its batch needs it. Across columns its feet lie towards the column before (`ascending`) or the next.
@@ -268,13 +270,21 @@ fn pass(
 
 /// All layers of a batch, block by block.
 fn run(job: Job, sums: &mut [&mut [f32]], kept: &mut Kept, face: &mut [f32]) {
-    let Kept { entry, exit, .. } = kept;
+    let Kept { entry, exit, room, .. } = kept;
     let batch = job.batch;
     let (layers, rows, cols, plane) = (job.size[batch.axis], job.rows(), job.cols(), job.size[0] * job.size[1]);
     let pitch = pitch(batch, job.fields.len(), cols);
     entry.grow(rows * pitch);
     exit.grow(rows * pitch);
     let (height, deep) = (height(rows, pitch), batch.lanes.len() * cols);
+    // All threads at once: which of them takes which band is up to chance, and so were when they take memory.
+    let held = (height + 2 * BLOCK).min(rows);
+    let (fields, turned) = (job.fields.len(), if batch.axis == 0 { held * job.padded() } else { 0 });
+    let wanted = [fields * held * pitch, job.padded(), fields * turned];
+    if (0..3).any(|n| wanted[n] > room[n]) {
+        *room = std::array::from_fn(|n| room[n].max(wanted[n]));
+        rayon::broadcast(|_| band::reserve(&job, height, held, sums.len()));
+    }
     for start in (0..layers).step_by(BLOCK) {
         let job = Job { layers: start..(start + BLOCK).min(layers), entry: &entry[..rows * pitch], ..job };
         let exits = exit[..rows * pitch].chunks_mut(height * pitch);
@@ -329,7 +339,7 @@ fn height(rows: usize, pitch: usize) -> usize {
     let fitting = ((1 << 20) / (8 * pitch)).max(BLOCK);
     let threads = rayon::current_num_threads();
     let bands = rows.div_ceil(fitting).next_multiple_of(threads);
-    rows.div_ceil(bands).max(BLOCK.min(rows))
+    rows.div_ceil(bands).max((BLOCK / 2).min(rows))
 }
 
 /// Values of a whole volume that are worked on at a time.

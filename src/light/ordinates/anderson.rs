@@ -48,7 +48,7 @@ impl Anderson {
         slot.value.combine(device, &[(value, 1.0)])?;
         slot.residual.combine(device, &[(value, 1.0), (x, -1.0)])?;
         if let Some(coarse) = coarse {
-            coarse.correct(device, &mut slot.value, &mut slot.residual)?;
+            coarse.correct(device, x, &mut slot.value, &mut slot.residual)?;
         }
         let latest = self.next;
         self.used = self.used.max(latest + 1);

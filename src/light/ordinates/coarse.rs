@@ -69,7 +69,7 @@ impl Coarse {
     }
 
     /// Adds the error that `residual` = Φ(x) − x tells of to `value` = Φ(x), and to the residual.
-    pub fn correct(&mut self, device: &dyn Device, value: &mut State, residual: &mut State) -> Result<()> {
+    pub fn correct(&mut self, device: &dyn Device, x: &State, value: &mut State, residual: &mut State) -> Result<()> {
         device.restrict(self.fine, &residual.phi, self.grid.size, &mut self.residual)?;
         let unit = [(&self.residual, 1.0, Travel::Along(Vec3::ZERO))];
         let [error, next] = &mut self.error;
@@ -91,8 +91,8 @@ impl Coarse {
         }
         let fine: usize = self.fine.into_iter().product();
         self.updates += (PASSES * (DIRECTIONS + 1) * self.grid.len() + 3 * fine) as u64;
-        device.prolong(self.grid.size, &error.phi, self.fine, &mut value.phi)?;
-        device.prolong(self.grid.size, &error.phi, self.fine, &mut residual.phi)
+        device.prolong(self.grid.size, &error.phi, self.fine, &mut residual.phi)?;
+        device.combine(&[(&x.phi, 1.0), (&residual.phi, 1.0)], &mut value.phi)
     }
 }
 

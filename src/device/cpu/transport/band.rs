@@ -78,6 +78,11 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
+/// Makes room in this thread for bands of up to `height` rows, `held` with their surroundings.
+pub(super) fn reserve(job: &Job, height: usize, held: usize, parts: usize) {
+    SCRATCH.with_borrow_mut(|scratch| scratch.fit(job, height, held, parts));
+}
+
 /// reads the layer before the block, σ, S → writes the last layer of the block, φ, J.
 pub(super) fn run(job: &Job, band: &mut Band) {
     SCRATCH.with_borrow_mut(|scratch| block_of_band(job, band, scratch));
