@@ -176,6 +176,9 @@ struct Certificate {
     rigorous: bool,
 }
 
+/// A guess that is within so many times the goal needs no corrections: a pass or two are quicker.
+const NEAR: f64 = 3.0;
+
 /// Gains above which the bound by u is worth its passes.
 const LARGE_GAIN: f64 = 100.0;
 
@@ -365,6 +368,7 @@ impl Scattered {
             _ => &[Start::Cold],
         };
         let mut best: Option<(Residual, Start)> = None;
+        let mut corrects = false;
         anderson.clear();
         for &guess in guesses {
             match guess {
@@ -382,8 +386,9 @@ impl Scattered {
             let done = residual.change <= goal;
             if !done {
                 // A guess that loses still helps the mixture.
-                let correction = Some(&mut *coarse).filter(|_| residual.change > iterate::NEAR * goal);
-                anderson.take(device, x, value, correction)?;
+                // One way all through: pairs of two equations do not mix.
+                corrects = if best.is_none() { residual.change > NEAR * goal } else { corrects };
+                anderson.take(device, x, value, Some(&mut *coarse).filter(|_| corrects))?;
             }
             if best.is_none_or(|(b, _)| residual.change < b.change) {
                 best = Some((residual, guess));
@@ -400,7 +405,13 @@ impl Scattered {
         *won = (*known == 2).then(|| (start, residual.change / scale(residual.peak)));
         let boxed = !inside.is_all_of(grid);
         let beyond = (boxed && problem.everywhere).then(|| Whole { grid, region, sigma, source: whole, out: before });
-        let means = Means { anderson, source, coarse: Some(coarse), whole: beyond, budget: &mut budget };
+        let means = Means {
+            anderson,
+            source,
+            coarse: Some(&mut *coarse).filter(|_| corrects),
+            whole: beyond,
+            budget: &mut budget,
+        };
         let done = iterate::iterate(&equation, x, value, residual, means, target)?;
         passes += done.passes;
         over += done.whole;

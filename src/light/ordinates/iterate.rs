@@ -16,9 +16,6 @@ const PATIENCE: u64 = 8;
 /// What the residual is taken to shrink by in a pass before anything is known of it.
 const USUAL: f64 = 0.5;
 
-/// Up to so many times the goal one pass more is enough, and a correction would cost a third of it.
-pub(super) const NEAR: f64 = 2.5;
-
 /// How an iteration ended.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ending {
@@ -82,8 +79,7 @@ pub(super) fn iterate(
             break false;
         }
         if fresh && !plain {
-            let correction = coarse.as_deref_mut().filter(|_| residual.change > NEAR * goal);
-            anderson.take(equation.device, x, value, correction)?;
+            anderson.take(equation.device, x, value, coarse.as_deref_mut())?;
         }
         if plain {
             std::mem::swap(x, value);
