@@ -39,7 +39,9 @@ const SOLVENT: &str = "transfer.colormap = \"viridis\"\ntransfer.opacity = [[0.0
 const WAVE: &str = "transfer.colormap = \"white\"\ntransfer.opacity = [[0.0, 0.6], [0.4, 0.0], [0.6, 0.0], [1.0, 0.6]]";
 
 /// File, field, layout where there is no header, step (the last where there are fewer), and how it is shown.
-const FILES: [(&str, Option<&str>, Option<&str>, usize, &str); 5] = [
+type Shown = (&'static str, Option<&'static str>, Option<&'static str>, usize, &'static str);
+
+const FILES: [Shown; 5] = [
     ("smoke.h5", Some("density"), None, 40, SMOKE),
     ("smoke.h5", Some("density"), None, 12, SMOKE),
     ("gray_scott_32.raw", None, Some("dims=32x32x32,dtype=f64le,offset=24,steps=12"), 11, LIQUID),

@@ -404,12 +404,12 @@ impl Scattered {
         std::mem::swap(value, other);
         *won = (*known == 2).then(|| (start, residual.change / scale(residual.peak)));
         let boxed = !inside.is_all_of(grid);
-        let beyond = (boxed && problem.everywhere).then(|| Whole { grid, region, sigma, source: whole, out: before });
+        let beyond = Whole { grid, region, sigma, source: whole, out: before };
         let means = Means {
             anderson,
             source,
             coarse: Some(&mut *coarse).filter(|_| corrects),
-            whole: beyond,
+            whole: Some(beyond).filter(|_| boxed && problem.everywhere),
             budget: &mut budget,
         };
         let done = iterate::iterate(&equation, x, value, residual, means, target)?;

@@ -321,6 +321,9 @@ impl Ends {
     }
 }
 
+/// The part of the environment's rays that escapes from a hit, and the light that diffuse and specular lobes return there.
+type Around = (f32, [[f32; 3]; 2]);
+
 /// What the passes at a set of hits share.
 struct Passes<'a> {
     of: &'a Isosurface,
@@ -362,7 +365,7 @@ impl Passes<'_> {
 
     /// The environment's light at each of the hits, if it is wanted: the part of its rays that escapes, and what perfect diffuse
     /// and specular lobes return.
-    fn all_around(&self, hits: &[Hit], seed: u32) -> Result<Option<Vec<(f32, [[f32; 3]; 2])>>> {
+    fn all_around(&self, hits: &[Hit], seed: u32) -> Result<Option<Vec<Around>>> {
         let keys = &self.of.keys;
         let Some(environment) = self.environment().filter(|_| self.wanted.environment) else { return Ok(None) };
         let estimator = self.estimator();

@@ -104,7 +104,7 @@ fn slices_agree() {
                 let bricks = BrickLayout::new(grid.size, 8);
                 let majorant = table.majorants(&d.brick_range(&bricks, &field).unwrap());
                 let axis = if under { DVec3::new(0.6, 0.7, -0.3) } else { DVec3::new(0.8, -0.5, 0.2) };
-                let end = |n: usize| if n % 3 == 0 { 1.7 + 0.01 * (n % 45) as f32 } else { f32::MAX };
+                let end = |n: usize| if n.is_multiple_of(3) { 1.7 + 0.01 * (n % 45) as f32 } else { f32::MAX };
                 let mut rays: Vec<Ray> = (0..45 * 37).map(|n| Ray { end: end(n), ..Ray::FRESH }).collect();
                 let slices = Slices {
                     grid: &grid,

@@ -122,9 +122,9 @@ fn escapes<V: Lanes>(
     for n in 0..occlusion.steps {
         let t = (V::splat(n as f32) + jitter) * step;
         let position = three!(a => V::splat(start[a]) + t * slope[a]);
-        for a in 0..3 {
-            inside = V::select(position[a].lt(V::splat(-0.5)), zero, inside);
-            inside = V::select(V::splat(space.top[a]).lt(position[a]), zero, inside);
+        for (p, top) in position.into_iter().zip(space.top.to_array()) {
+            inside = V::select(p.lt(V::splat(-0.5)), zero, inside);
+            inside = V::select(V::splat(top).lt(p), zero, inside);
         }
         if !V::any(zero.lt(inside * through)) {
             break;
@@ -165,7 +165,7 @@ mod tests {
                 // In the plane of the values where they have only one along x.
                 let flat = |c: [f32; 3]| Vec3::from(c).min(Vec3::from(size.map(|n| (n - 1) as f32)));
                 let blob = |c: [f32; 3], r: f32| (1.0 - Vec3::from(p).distance(flat(c)) / r).max(0.0);
-                if i % 97 == 0 { EMPTY } else { blob([8.0, 7.0, 9.0], 9.0) + blob([15.0, 12.0, 16.0], 7.0) }
+                if i.is_multiple_of(97) { EMPTY } else { blob([8.0, 7.0, 9.0], 9.0) + blob([15.0, 12.0, 16.0], 7.0) }
             };
             let field = Buffer(Storage::Host((0..grid.len()).map(value).collect()));
             let surface = |value, opacity| Surface {
