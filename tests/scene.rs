@@ -213,7 +213,10 @@ fn opacity_and_extinction_exclude_each_other_and_names_of_cameras_differ() {
 #[test]
 fn what_is_not_built_is_refused_by_name_with_what_works() {
     for (text, names) in [
-        ("[render]\nkind = \"slices\"\n[[clip]]\nkind = \"plane\"", ["[[clip]]", "Slices", "\"raycast\""]),
+        (
+            "[render]\ntarget_error = 0.1\n[pathtrace]\nreplay = true",
+            ["pathtrace.replay", "render.target_error", "render.samples"],
+        ),
         ("[[cameras]]\naperture = 0.1", ["cameras.0.aperture", "0.1", "leave it 0"]),
     ] {
         let error = parse(text).unwrap_err();

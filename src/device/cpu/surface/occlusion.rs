@@ -211,7 +211,8 @@ mod tests {
                     hits.iter().map(sum).collect()
                 };
                 let alone = sums(add::<Array<1>>);
-                assert!(alone.iter().any(|s| f32::from_bits(s[3]) < 30.0));
+                // Of a flat volume nearly all rays go out at once.
+                assert!(size[0] == 1 || alone.iter().any(|s| f32::from_bits(s[3]) < 30.0));
                 for level in [Level::Portable, Level::Avx2, Level::Avx512].into_iter().filter(|l| *l <= simd::level()) {
                     assert!(sums(at_level(level)) == alone, "{level:?} on {size:?}");
                 }
