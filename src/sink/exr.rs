@@ -70,10 +70,10 @@ pub fn write_frame(path: &Path, frame: &Frame) -> Result<()> {
 pub struct Attributes(LayerAttributes);
 
 impl Attributes {
-    /// Those of the picture that [`read`] takes from a file.
+    /// Those of the picture that [`read()`] takes from a file.
     ///
     /// # Errors
-    /// As [`read`].
+    /// As [`read()`].
     pub fn of(path: &Path) -> Result<Attributes> {
         let meta = MetaData::read_from_file(path, false).map_err(|e| named(path, e))?;
         let first = meta.headers.into_iter().next();
