@@ -470,7 +470,8 @@ pub trait Device: Send + Sync {
 
     /// Path tracing of some tiles only ([`March::TILE`]); the other pixels' sums stay as they are. `touched` has
     /// `trace.bricks.len().div_ceil(64)` words for each of the tiles and takes a bit for each brick that paths depended on: while these
-    /// bricks, their bounds, values in a halo of two and how many empty ones lie ahead of them stay what they are, the tile's samples do, to the bit.
+    /// bricks, their bounds, values in a halo of two and how many empty ones lie ahead of them stay what they are, the tile's samples
+    /// do, to the bit.
     fn trace_tiles(
         &self,
         trace: &Trace,
