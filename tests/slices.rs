@@ -81,20 +81,19 @@ fn direction(degrees: f64) -> String {
     format!("lights.0.direction=[{}]", l.join(", "))
 }
 
-/// The aim is 5 % on real smoke. Two values to a world length, so that what is left is not all the light volume's.
+/// The aim is 5 % on real smoke; on these blobs the light volume's own error is under 1 % where slices are as coarse as it. Where they
+/// are as fine as they choose, values are too.
 #[test]
 fn slices_show_what_ray_casting_shows_from_every_side_of_the_light() {
-    let values = blobs_of(2);
-    for degrees in [0.0, 40.0, 85.0, 95.0, 140.0, 180.0] {
-        let light = direction(degrees);
-        let mut common = COMMON.to_vec();
-        common.push(&light);
-        let [cast, sliced] = both_of(&values, &common);
-        let error = relative_rmse(&sliced, &cast);
-        println!("{degrees}°: {error:.4}");
-        assert!(error < 0.02, "{degrees}°: {error}");
-        let coverage = sliced.pixels.iter().zip(&cast.pixels).map(|(a, b)| (a[3] - b[3]).abs()).fold(0.0, f32::max);
-        assert!(coverage < 5e-3, "{degrees}°: {coverage}");
+    for (values, fineness) in [(blobs(), &["slices.resolution=1.5"][..]), (blobs_of(2), &[])] {
+        for degrees in [0.0, 40.0, 85.0, 95.0, 140.0, 180.0] {
+            let light = direction(degrees);
+            let [cast, sliced] = both_of(&values, &[&COMMON[..], &[&light], fineness].concat());
+            let error = relative_rmse(&sliced, &cast);
+            assert!(error < 0.02, "{degrees}°, {fineness:?}: {error}");
+            let coverage = sliced.pixels.iter().zip(&cast.pixels).map(|(a, b)| (a[3] - b[3]).abs()).fold(0.0, f32::max);
+            assert!(coverage < 5e-3, "{degrees}°, {fineness:?}: {coverage}");
+        }
     }
 }
 

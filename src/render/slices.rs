@@ -310,7 +310,7 @@ impl Rays {
 fn resolution(medium: &Medium) -> f64 {
     let densest = medium.table.extinction.iter().copied().fold(0.0, f32::max);
     let depth = f64::from(densest) * medium.grid.mean_spacing();
-    1.5 * (depth / -0.9f64.ln()).sqrt().clamp(1.0, 2.0)
+    1.5 * (depth / -(0.9f64.ln())).sqrt().clamp(1.0, 2.0)
 }
 
 /// Texels for a length of so many, one more on each side.
