@@ -30,15 +30,15 @@ impl Sweep {
         Sweep { length: 1.0 / direction[sweep.axis()].abs(), ..sweep }
     }
 
-    /// The dominant axis in index space; the lower one where two are equal.
+    /// The dominant axis in index space; where two are equal the higher one, whose layers are contiguous in memory.
     pub fn axis(&self) -> usize {
         let d = self.direction.map(f32::abs);
-        if d[0] >= d[1] && d[0] >= d[2] {
-            0
-        } else if d[1] >= d[2] {
+        if d[2] >= d[0] && d[2] >= d[1] {
+            2
+        } else if d[1] >= d[0] {
             1
         } else {
-            2
+            0
         }
     }
 

@@ -146,12 +146,17 @@ unsafe fn transpose_16(from: *const f32, from_stride: isize, to: *mut f32, to_st
     // SAFETY: the caller vouches for the addresses.
     unsafe {
         for j in (0..16).step_by(4) {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|i| {
-                let quarter = |q: isize| _mm_loadu_ps(from.offset((i + 4 * q) * from_stride).add(j));
-                let all = _mm512_castps128_ps512(quarter(0));
-                let all = _mm512_insertf32x4::<1>(all, quarter(1));
-                _mm512_insertf32x4::<3>(_mm512_insertf32x4::<2>(all, quarter(2)), quarter(3))
-            });
+            // A macro, for a closure might be compiled by itself.
+            macro_rules! quarters {
+                ($i:literal) => {{
+                    let from = from.add(j).offset($i * from_stride);
+                    let all = _mm512_castps128_ps512(_mm_loadu_ps(from));
+                    let all = _mm512_insertf32x4::<1>(all, _mm_loadu_ps(from.offset(4 * from_stride)));
+                    let all = _mm512_insertf32x4::<2>(all, _mm_loadu_ps(from.offset(8 * from_stride)));
+                    _mm512_insertf32x4::<3>(all, _mm_loadu_ps(from.offset(12 * from_stride)))
+                }};
+            }
+            let (a, b, c, d) = (quarters!(0), quarters!(1), quarters!(2), quarters!(3));
             let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
             let (ab_high, cd_high) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
             let columns = [

@@ -1,76 +1,63 @@
 //! A band of rows through a block of layers, all lanes of a batch.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
-use super::super::simd::dispatch;
+use super::super::simd::{dispatch, prefetch};
 use super::aligned::Aligned;
-use super::rows::{Across, Depth, Step, across, largest, step, towards};
-use super::turn::{layer_stride, turn_in, turn_out};
-use super::{BLOCK, Band, Job, WIDTH, pitch, stride};
+use super::rows::{Depth, Feet, average, blend, cross, cross_towards, largest, optics, pass_on};
+use super::{BLOCK, Band, Job, LANES, Lane, WIDTH, stride};
 
-/// A thread's working memory. Rows are padded to a multiple of [`WIDTH`].
+/// A thread's working memory.
 #[derive(Default)]
 struct Scratch {
-    /// Radiance of the layer before and of this one: (row, lane, column), `BLOCK` rows beyond the band on both sides.
-    radiance: [Aligned; 2],
-    /// S towards each lane, likewise, where it depends on direction.
-    emitted: [Aligned; 2],
-    feet: Vec<FootRows>,
-    /// Largest σ of each row that is held, in the layer before and in this one.
-    densest: [Vec<f32>; 2],
-    /// For each row that is held and each lane, likewise: true where no light is.
-    dark: [Vec<bool>; 2],
-    /// Rows of the lane at work.
-    up: Aligned,
-    emitted_up: Across,
-    /// S of a row whose length is no multiple of [`WIDTH`].
-    isotropic: Aligned,
-    /// φ and J of a row.
-    row: Aligned,
-    /// Layers of the fields perpendicular to x: (field, layer, row, column), see [`layer_stride`].
-    turned: Aligned,
-    /// φ and J of such layers: (part, layer, row, column).
-    sums: Aligned,
-    /// A row of all layers of a block, transposed back: (column, layer).
-    columns: Aligned,
+    /// Radiance that leaves the voxels of the latest layer: (lane, row, column). Rows of the inflow are on both sides of those that are
+    /// held, and a row ends with values of the inflow. In lanes whose feet lie towards the row before, each layer is written a row
+    /// further down, over what is not needed again.
+    radiance: Aligned,
+    /// For each group and lane, true where no light is.
+    dark: Vec<bool>,
+    /// Rows of a group. The fields:
+    fields: Aligned,
+    /// See [`optics`].
+    absorbed: Aligned,
+    short: Aligned,
+    /// Radiance interpolated across rows.
+    feet: Aligned,
+    /// φ and J.
+    sum: Aligned,
 }
 
-/// Rows that the lanes of a foot share.
-#[derive(Default)]
-struct FootRows {
-    steps: Depth,
-    /// Half the step times σ here and at the feet, and S at the feet.
-    depth: Aligned,
-    depth_up: Across,
-    emitted_up: Across,
+/// Rows that are worked on together: what they need stays in a first-level cache.
+fn group_rows(cols: usize) -> usize {
+    match cols {
+        0..=32 => 32,
+        33..=96 => 16,
+        _ => 8,
+    }
+}
+
+/// Values between rows, one at least of which lies between them: groups are whole numbers of four vectors.
+fn pitch(cols: usize) -> usize {
+    (cols + 1).next_multiple_of(4 * WIDTH / group_rows(cols))
+}
+
+/// Values of a lane's radiance where `held` rows are held: as many rows before them as layers are written, and one more.
+fn extent(held: usize, cols: usize) -> usize {
+    (held + BLOCK + 2).next_multiple_of(8) * pitch(cols)
 }
 
 impl Scratch {
-    /// Makes room for a band of `height` rows of which `held` are kept with their surroundings.
-    fn fit(&mut self, job: &Job, height: usize, held: usize, parts: usize) {
-        let padded = job.padded();
-        let planes = held * pitch(job.batch, job.fields.len(), job.cols());
-        self.radiance.iter_mut().for_each(|v| v.grow(planes));
-        if job.linear() {
-            self.emitted.iter_mut().for_each(|v| v.grow(planes));
-        }
-        self.densest.iter_mut().for_each(|v| v.resize(held, 0.0));
-        self.dark.iter_mut().for_each(|v| v.resize(held * job.batch.lanes.len(), false));
-        self.feet.resize_with(self.feet.len().max(job.batch.feet.len()), FootRows::default);
-        for foot in &mut self.feet {
-            foot.depth.grow(padded);
-            foot.depth_up.fit(padded);
-            foot.emitted_up.fit(padded);
-        }
-        self.up.grow(padded + 2 * WIDTH);
-        self.emitted_up.fit(padded);
-        self.isotropic.grow(padded);
-        self.row.grow(parts * padded);
-        if job.batch.axis == 0 {
-            self.turned.grow(job.fields.len() * BLOCK * layer_stride(held, padded));
-            self.sums.grow(parts * BLOCK * layer_stride(height, padded));
-            self.columns.grow(WIDTH * padded);
-        }
+    /// Makes room for lanes of `held` rows in all with their surroundings, rows of up to `cols` values, and so many fields.
+    fn fit(&mut self, [held, cols, fields]: [usize; 3]) {
+        // Whatever the shape of a batch: rows beyond those that are held, for each lane.
+        self.radiance.grow(held + LANES * (BLOCK + 10) * pitch(cols));
+        self.dark.resize(self.dark.len().max(held / WIDTH + LANES), false);
+        let group = (0..=cols).map(|c| group_rows(c) * pitch(c)).max().unwrap_or(0);
+        self.fields.grow(fields * group);
+        self.sum.grow(4 * group);
+        [&mut self.absorbed, &mut self.short].into_iter().for_each(|v| v.grow(group));
+        self.feet.grow(group + 2 * WIDTH);
     }
 }
 
@@ -78,9 +65,9 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Makes room in this thread for bands of up to `height` rows, `held` with their surroundings.
-pub(super) fn reserve(job: &Job, height: usize, held: usize, parts: usize) {
-    SCRATCH.with_borrow_mut(|scratch| scratch.fit(job, height, held, parts));
+/// Makes room in this thread, see [`Kept`](super::Kept).
+pub(super) fn reserve(room: [usize; 3]) {
+    SCRATCH.with_borrow_mut(|scratch| scratch.fit(room));
 }
 
 /// reads the layer before the block, σ, S → writes the last layer of the block, φ, J.
@@ -94,214 +81,194 @@ dispatch! {
 
 #[inline(always)]
 fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
-    let (rows, cols, padded, lanes) = (job.rows(), job.cols(), job.padded(), &job.batch.lanes[..]);
-    let (stride, parts, height) = (stride(cols), band.sums.len(), band.rows.len());
-    let pitch = pitch(job.batch, job.fields.len(), cols);
-    // Rows that the scratch holds, and where row j is in it.
+    let (rows, cols, lanes) = (job.rows(), job.cols(), &job.batch.lanes[..]);
+    let (fields, parts) = (job.fields.len(), band.sums.len());
+    // S that depends on direction goes with J.
+    let isotropic = fields == 2 && parts == 1;
+    let summed_parts = if isotropic { 1 } else { 4 };
+    let (pitch, tall) = (pitch(cols), group_rows(cols));
+    // Rows that the scratch holds, and where they are in it after `done` layers.
     let held = band.rows.start.saturating_sub(BLOCK)..(band.rows.end + BLOCK).min(rows);
-    let at = |j: usize| (j - held.start) * pitch;
-    scratch.fit(job, height, held.len(), parts);
-    let Scratch { radiance, emitted, feet, densest, dark, up, emitted_up, isotropic, row, turned, sums, columns } =
-        scratch;
-    let [mut before, mut now] = radiance.each_mut().map(|p| &mut p[..held.len() * pitch]);
-    let [mut emitted_before, mut emitted_now] = emitted.each_mut().map(|p| &mut p[..]);
-    let [mut densest_before, mut densest_now] = densest.each_mut().map(|p| &mut p[..]);
-    let [mut dark_before, mut dark_now] = dark.each_mut().map(|p| &mut p[..]);
-    let across_x = job.batch.axis == 0;
-    if across_x {
-        turn_in(job, &held, turned);
-    }
-    let turned = &turned[..];
-    let field = |f: usize, l: usize, j: usize| -> &[f32] {
-        if across_x {
-            if l < job.layers.start {
-                return &job.entry[j * pitch + (lanes.len() + f) * stride..][..cols];
-            }
-            let slot = f * BLOCK + l - job.layers.start;
-            return &turned[slot * layer_stride(held.len(), padded) + (j - held.start) * padded..][..cols];
-        }
-        let (layer, plane) = (job.layer(l), job.size[0] * job.size[1]);
-        let start = if job.batch.axis == 1 { j * plane + layer * cols } else { layer * plane + j * cols };
-        &job.fields[f][start..][..cols]
+    let (front, extent) = (BLOCK + 1, extent(held.len(), cols));
+    let at = |j: usize, lane: &Lane, done: usize| {
+        (front + j - held.start - if lane.step_row < 0 { done } else { 0 }) * pitch
     };
-    if job.layers.start > 0 {
-        before.copy_from_slice(&job.entry[held.start * pitch..held.end * pitch]);
-        for j in held.clone() {
-            densest_before[j - held.start] = largest(field(0, job.layers.start - 1, j));
-            for n in 0..lanes.len() {
-                let radiance = &before[at(j) + n * stride..][..cols];
-                dark_before[(j - held.start) * lanes.len() + n] = largest(radiance) == 0.0;
-            }
-        }
-        if job.linear() {
-            for j in held.clone() {
-                for (n, lane) in lanes.iter().enumerate() {
-                    let from = std::array::from_fn(|f| field(f + 1, job.layers.start - 1, j));
-                    towards(&lane.omega, from, &mut emitted_before[at(j) + n * stride..]);
-                }
-            }
-        }
-    }
-    let row = &mut row[..parts * padded];
-    for l in job.layers.clone() {
+    let Scratch { radiance, dark, fields: group, absorbed, short, feet, sum } = scratch;
+    let field = |f: usize, l: usize, j: usize| {
+        &job.fields[f][job.layer(l) * job.strides[0] + j * job.strides[1]..][..cols]
+    };
+    enter(job, &held, front * pitch, radiance, dark);
+    let summed: f32 = lanes.iter().map(|lane| lane.weight).sum();
+    for (done, l) in job.layers.clone().enumerate() {
         let reach = job.layers.end - 1 - l;
-        for j in band.rows.start.saturating_sub(reach)..(band.rows.end + reach).min(rows) {
-            let own = band.rows.contains(&j);
-            let [first, last] = job.outer(l, j);
-            let held_row = j - held.start;
-            densest_now[held_row] = largest(field(0, l, j));
-            if let (Some(given), Some(outer)) = (job.given, first) {
-                for (n, lane) in lanes.iter().enumerate() {
-                    let here = at(j) + n * stride;
-                    dark_now[held_row * lanes.len() + n] = false;
-                    now[here..][..cols].copy_from_slice(&given[(outer * lanes.len() + n) * cols..][..cols]);
-                    if job.linear() {
-                        let from = std::array::from_fn(|f| field(f + 1, l, j));
-                        towards(&lane.omega, from, &mut emitted_now[here..]);
+        let (low, high) = (band.rows.start.saturating_sub(reach), (band.rows.end + reach).min(rows));
+        for g in (low - held.start) / tall..(high - held.start).div_ceil(tall) {
+            let start = held.start + g * tall;
+            let range = start.max(low)..(start + tall).min(high);
+            let own = range.start.max(band.rows.start)..range.end.min(band.rows.end);
+            let n = range.len() * pitch;
+            ask_for_next(job, band, (l, range.end), (low, high), tall);
+            for f in 0..fields {
+                let into = group[f * tall * pitch..].chunks_exact_mut(pitch);
+                for (row, j) in into.zip(range.clone()) {
+                    lay(field(f, l, j), 0.0, row);
+                }
+            }
+            let [sigma, s, x, y, z] =
+                std::array::from_fn(|f| if f < fields { &group[f * tall * pitch..][..n] } else { &[][..] });
+            let depth = Depth::of(job.batch.length * largest(sigma));
+            optics(depth, job.batch.length, sigma, &mut absorbed[..n], &mut short[..n]);
+            // Between rows all is absorbed.
+            absorbed[..n].chunks_exact_mut(pitch).for_each(|row| row[cols..].fill(1.0));
+            let (absorbed, short) = (&absorbed[..n], &short[..n]);
+            sum[..summed_parts * tall * pitch].fill(0.0);
+            for (n_lane, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact_mut(extent)).enumerate() {
+                // A neighbouring band's rows are needed only by lanes that come from its side.
+                let needed = !own.is_empty() || (lane.step_row < 0) == (range.start < band.rows.start);
+                if !needed {
+                    continue;
+                }
+                let was_dark = |g: Option<usize>| g.and_then(|g| dark.get(g * lanes.len() + n_lane)).is_none_or(|d| *d);
+                if depth == Depth::Empty && lane.inflow == 0.0 && job.given.is_none() {
+                    if was_dark(Some(g)) && was_dark(g.checked_add_signed(lane.step_row)) {
+                        continue;
                     }
                 }
-                if own {
+                dark[g * lanes.len() + n_lane] = false;
+                let (here, there) = (at(range.start, lane, done), at(range.start, lane, done + 1));
+                let beside = here.wrapping_add_signed(lane.step_row * pitch as isize);
+                blend(&radiance[here..][..n], &radiance[beside..][..n], lane.t_row, &mut feet[WIDTH..][..n]);
+                feet[WIDTH - 1] = lane.inflow;
+                feet[WIDTH + n] = lane.inflow;
+                let beside = &feet[if lane.ascending { WIDTH - 1 } else { WIDTH + 1 }..][..n];
+                let feet = Feet { here: &feet[WIDTH..][..n], beside, t: lane.t_col };
+                let exit = &mut radiance[there..][..n];
+                if isotropic {
+                    let sum = &mut sum[..n];
+                    match depth {
+                        Depth::Empty => pass_on(feet, lane.weight, exit, sum),
+                        _ => cross(feet, absorbed, s, lane.weight, exit, sum),
+                    }
+                } else {
+                    let (omega, source) = if fields == 2 { ([0.0; 3], [s; 4]) } else { (lane.omega, [s, x, y, z]) };
+                    let [wx, wy, wz] = lane.omega.map(|o| lane.weight * o);
+                    let [phi, jx, jy, jz] = sums_of(sum, tall * pitch);
+                    let optics = [absorbed, short];
+                    cross_towards(feet, optics, omega, source, exit, [lane.weight, wx, wy, wz], phi, jx, jy, jz);
+                }
+                if lane.inflow != 0.0 || depth == Depth::Empty {
+                    exit.chunks_exact_mut(pitch).for_each(|row| row[cols..].fill(lane.inflow));
+                }
+                if let Some(given) = job.given {
+                    for (row, j) in exit.chunks_exact_mut(pitch).zip(range.clone()) {
+                        if let [Some(outer), _] = job.outer(l, j) {
+                            row[..cols].copy_from_slice(&given[(outer * lanes.len() + n_lane) * cols..][..cols]);
+                        }
+                    }
+                }
+            }
+            if isotropic && depth != Depth::Empty {
+                average(short, s, summed, &mut sum[..n]);
+            }
+            for j in own {
+                let [first, last] = job.outer(l, j);
+                let row = (j - range.start) * pitch;
+                if job.given.is_some() && first.is_some() {
                     // The slab before has summed this plane.
-                    row.fill(0.0);
-                    deposit(job, band, (l, j), row, sums);
+                    (0..parts).for_each(|part| sum[part * tall * pitch + row..][..cols].fill(0.0));
                 }
-                continue;
-            }
-            let beside = |step: isize| j.checked_add_signed(step).filter(|&b| b < rows);
-            // A neighbouring band's rows are needed only by lanes that come from its side.
-            let needed = |step: isize| own || (step < 0) == (j < band.rows.start);
-            for (foot, rows) in job.batch.feet.iter().zip(&mut *feet) {
-                if !needed(foot.step_row) {
-                    continue;
-                }
-                let next = beside(foot.step_row);
-                let above = match (l, next) {
-                    (0, _) => 0.0,
-                    (_, None) => densest_before[held_row],
-                    (_, Some(b)) => densest_before[held_row].max(densest_before[b - held.start]),
-                };
-                rows.steps = Depth::of(foot.half * (densest_now[held_row] + above));
-                if rows.steps == Depth::Empty {
-                    continue;
-                }
-                let sigma = field(0, l, j);
-                rows.depth.iter_mut().zip(sigma).for_each(|(d, s)| *d = foot.half * s);
-                if l == 0 {
-                    // Half a voxel inside the box: no σ at the feet and the S of the voxel itself.
-                    rows.depth_up.clear();
-                } else {
-                    rows.depth_up.between(foot, foot.half, field(0, l - 1, j), next.map(|b| field(0, l - 1, b)), 0.0);
-                    if !job.linear() {
-                        let next = next.map(|b| field(1, l - 1, b));
-                        rows.emitted_up.between(foot, 1.0, field(1, l - 1, j), next, foot.inflow);
+                deposit(job, band, (l, j), |part| &sum[part * tall * pitch + row..][..cols]);
+                if let Some(outer) = last.filter(|_| !band.face.is_empty()) {
+                    for (n, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact(extent)).enumerate() {
+                        let into = &mut band.face[((outer - band.face_start) * lanes.len() + n) * cols..][..cols];
+                        into.copy_from_slice(&radiance[at(j, lane, done + 1)..][..cols]);
                     }
-                }
-            }
-            let isotropic: &[f32] = if cols == padded {
-                field(1, l, j)
-            } else {
-                isotropic[..cols].copy_from_slice(field(1, l, j));
-                &isotropic[..padded]
-            };
-            row.fill(0.0);
-            for (n, lane) in lanes.iter().enumerate() {
-                let here = at(j) + n * stride;
-                if job.linear() {
-                    let from = std::array::from_fn(|f| field(f + 1, l, j));
-                    towards(&lane.omega, from, &mut emitted_now[here..]);
-                }
-                let (foot, shared) = (&job.batch.feet[lane.foot], &feet[lane.foot]);
-                if !needed(foot.step_row) {
-                    continue;
-                }
-                let empty = shared.steps == Depth::Empty;
-                let next = beside(foot.step_row);
-                let was_dark = |j: usize| dark_before[(j - held.start) * lanes.len() + n];
-                let unlit = l == 0 || was_dark(j) && next.is_none_or(was_dark);
-                let dark = empty && lane.inflow == 0.0 && unlit;
-                dark_now[held_row * lanes.len() + n] = dark;
-                if dark {
-                    now[here..][..padded].fill(0.0);
-                    continue;
-                }
-                let emitted = if job.linear() { &emitted_now[here..][..padded] } else { isotropic };
-                let next = next.map(|b| at(b) + n * stride);
-                let t_col = if l == 0 {
-                    up[..padded + 2 * WIDTH].fill(lane.inflow);
-                    emitted_up.here(emitted);
-                    0.0
-                } else {
-                    across(
-                        &before[here..][..padded],
-                        next.map(|b| &before[b..][..padded]),
-                        foot.t_row,
-                        1.0,
-                        lane.inflow,
-                        up,
-                    );
-                    up[WIDTH + cols] = lane.inflow;
-                    if job.linear() && !empty {
-                        let next = next.map(|b| &emitted_before[b..][..cols]);
-                        emitted_up.between(foot, 1.0, &emitted_before[here..][..cols], next, lane.inflow);
-                    }
-                    foot.t_col
-                };
-                let own_up = job.linear() || l == 0;
-                let reads = Step {
-                    lane,
-                    up,
-                    t_col,
-                    depth: &shared.depth,
-                    depth_up: &shared.depth_up,
-                    emitted,
-                    emitted_up: if own_up { emitted_up } else { &shared.emitted_up },
-                };
-                step(&reads, shared.steps, &mut now[here..][..padded], row);
-            }
-            if own {
-                deposit(job, band, (l, j), row, sums);
-            }
-            if let Some(outer) = last.filter(|_| own && !band.face.is_empty()) {
-                for n in 0..lanes.len() {
-                    let into = &mut band.face[((outer - band.face_start) * lanes.len() + n) * cols..][..cols];
-                    into.copy_from_slice(&now[at(j) + n * stride..][..cols]);
                 }
             }
         }
-        std::mem::swap(&mut before, &mut now);
-        std::mem::swap(&mut emitted_before, &mut emitted_now);
-        std::mem::swap(&mut densest_before, &mut densest_now);
-        std::mem::swap(&mut dark_before, &mut dark_now);
     }
-    band.exit.copy_from_slice(&before[at(band.rows.start)..at(band.rows.end)]);
-    if across_x {
-        for (j, row) in band.rows.clone().zip(band.exit.chunks_exact_mut(pitch)) {
-            for (f, into) in row[lanes.len() * stride..].chunks_exact_mut(stride).enumerate() {
-                into[..cols].copy_from_slice(field(f, job.layers.end - 1, j));
+    let stride = stride(cols);
+    for (j, row) in band.rows.clone().zip(band.exit.chunks_exact_mut(lanes.len() * stride)) {
+        for ((lane, into), radiance) in lanes.iter().zip(row.chunks_exact_mut(stride)).zip(radiance.chunks_exact(extent)) {
+            into[..cols].copy_from_slice(&radiance[at(j, lane, job.layers.len())..][..cols]);
+        }
+    }
+}
+
+/// Asks for the values that the next group needs: rows from `next` on, or the first ones of the next layer.
+#[inline(always)]
+fn ask_for_next(job: &Job, band: &Band, (l, next): (usize, usize), (low, high): (usize, usize), tall: usize) {
+    let (l, start) = if next < high { (l, next) } else { (l + 1, low) };
+    if l == job.layers.end {
+        return;
+    }
+    for j in start..(start + tall).min(high) {
+        let at = job.layer(l) * job.strides[0] + j * job.strides[1];
+        for field in job.fields {
+            let row = &field[at..][..job.cols()];
+            for at in (0..row.len()).step_by(WIDTH) {
+                prefetch(&row[at]);
             }
         }
-        turn_out(job, band, sums, columns);
+        if !job.first && band.rows.contains(&j) {
+            let (part, at) = job.place(l, j - band.rows.start);
+            for sums in &band.sums {
+                let row = &sums[part][at..][..job.cols()];
+                for at in (0..row.len()).step_by(WIDTH) {
+                    prefetch(&row[at]);
+                }
+            }
+        }
+    }
+}
+
+/// Rows of φ and J.
+#[inline(always)]
+fn sums_of(sum: &mut [f32], len: usize) -> [&mut [f32]; 4] {
+    let (phi, j) = sum.split_at_mut(len);
+    let (jx, j) = j.split_at_mut(len);
+    let (jy, jz) = j.split_at_mut(len);
+    [phi, jx, jy, jz]
+}
+
+/// Copies a row into a longer one, whose end is filled.
+#[inline(always)]
+fn lay(row: &[f32], end: f32, into: &mut [f32]) {
+    into[..row.len()].copy_from_slice(row);
+    into[row.len()..].fill(end);
+}
+
+/// Takes up the radiance of the layer before the block, with the inflow around it.
+#[inline(always)]
+fn enter(job: &Job, held: &Range<usize>, front: usize, radiance: &mut [f32], dark: &mut [bool]) {
+    let (cols, lanes, pitch, stride) = (job.cols(), &job.batch.lanes[..], pitch(job.cols()), stride(job.cols()));
+    let (extent, tall) = (extent(held.len(), cols), group_rows(cols));
+    for (n, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact_mut(extent)).enumerate() {
+        let (before, rows) = radiance.split_at_mut(front);
+        let (rows, after) = rows.split_at_mut(held.len() * pitch);
+        before.fill(lane.inflow);
+        after.fill(lane.inflow);
+        if job.layers.start > 0 {
+            for (j, row) in held.clone().zip(rows.chunks_exact_mut(pitch)) {
+                lay(&job.entry[(j * lanes.len() + n) * stride..][..cols], lane.inflow, row);
+            }
+        } else {
+            rows.fill(lane.inflow);
+        }
+        for (g, group) in rows.chunks(tall * pitch).enumerate() {
+            dark[g * lanes.len() + n] = group.iter().all(|v| *v == 0.0);
+        }
     }
 }
 
 /// Adds a row of φ and J to the sums.
 #[inline(always)]
-fn deposit(job: &Job, band: &mut Band, (l, j): (usize, usize), row: &[f32], sums: &mut [f32]) {
-    let (cols, padded, height) = (job.cols(), job.padded(), band.rows.len());
-    let j = j - band.rows.start;
-    for (part, values) in row.chunks_exact(padded).enumerate() {
-        let into = &mut band.sums[part];
-        let sum = match job.batch.axis {
-            0 => {
-                let slot = part * BLOCK + l - job.layers.start;
-                sums[slot * layer_stride(height, padded) + j * padded..][..padded].copy_from_slice(values);
-                continue;
-            }
-            1 => &mut into[0][j * job.size[0] * job.size[1] + job.layer(l) * cols..][..cols],
-            _ => &mut into[job.layer(l) - job.span().start][j * cols..][..cols],
-        };
+fn deposit<'a>(job: &Job, band: &mut Band, (l, j): (usize, usize), row: impl Fn(usize) -> &'a [f32]) {
+    let (part, at) = job.place(l, j - band.rows.start);
+    for (n, sums) in band.sums.iter_mut().enumerate() {
+        let (sum, values) = (&mut sums[part][at..][..job.cols()], row(n));
         if job.first {
-            sum.copy_from_slice(&values[..cols]);
+            sum.copy_from_slice(values);
         } else {
             sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
         }

@@ -1,14 +1,13 @@
-//! Arithmetic of transport on rows of voxels.
+//! Arithmetic of transport on rows of voxels. Rows of a group lie one after another, so that a loop runs over all of them; the
+//! values between two rows are what is outside the grid.
 
 use super::super::simd::exp;
-use super::aligned::Aligned;
-use super::{Foot, Lane, WIDTH};
+use super::WIDTH;
 
-/// How deep the steps of a row are.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+/// How deep the steps of some rows are at most.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Depth {
     /// Nothing is there.
-    #[default]
     Empty,
     /// Up to ½.
     Slight,
@@ -29,244 +28,161 @@ impl Depth {
     }
 }
 
-/// A row at the feet: interpolated across rows, and on the way to be interpolated across columns. There are `WIDTH` values
-/// of padding on both sides, the innermost of which hold what is outside the grid.
-#[derive(Default)]
-pub(super) struct Across {
-    values: Aligned,
-    /// `t_col · (values[i + 1] − values[i])`.
-    step: Aligned,
-    padded: usize,
-}
-
-impl Across {
-    /// Makes room for rows of `padded` values.
-    pub fn fit(&mut self, padded: usize) {
-        self.values.grow(padded + 2 * WIDTH);
-        self.step.grow(padded + WIDTH);
-        self.padded = padded;
-    }
-
-    /// Zeros.
-    #[inline(always)]
-    pub fn clear(&mut self) {
-        self.values[..self.padded + 2 * WIDTH].fill(0.0);
-        self.step[..self.padded + WIDTH].fill(0.0);
-    }
-
-    /// The row itself, at no offset.
-    #[inline(always)]
-    pub fn here(&mut self, row: &[f32]) {
-        self.values[WIDTH..][..row.len()].copy_from_slice(row);
-        self.step[..self.padded + WIDTH].fill(0.0);
-    }
-
-    /// Interpolates between a row and the next one that feet lie towards, if that is inside; `factor` multiplies both.
-    #[inline(always)]
-    pub fn between(&mut self, foot: &Foot, factor: f32, row: &[f32], next: Option<&[f32]>, outside: f32) {
-        across(row, next, foot.t_row, factor, outside, &mut self.values);
-        let n = self.padded;
-        let (t, values) = (foot.t_col, &self.values[WIDTH - 1..]);
-        self.step[WIDTH - 1] = t * (values[1] - values[0]);
-        steps(t, &values[1..], &mut self.step[WIDTH..][..n]);
-    }
-
-    /// `n` values and steps such that their difference (ascending) or sum are the values at the feet.
-    #[inline(always)]
-    fn feet(&self, ascending: bool, n: usize) -> (&[f32], &[f32]) {
-        let shift = if ascending { 1 } else { 0 };
-        (&self.values[WIDTH..][..n], &self.step[WIDTH - shift..][..n])
-    }
-}
-
-#[inline(always)]
-fn steps(t: f32, values: &[f32], out: &mut [f32]) {
-    let n = out.len();
-    let (v, next) = (&values[..n], &values[1..=n]);
-    for i in 0..n {
-        out[i] = t * (next[i] - v[i]);
-    }
-}
-
-/// A row interpolated towards the next one (`outside` where there is none) and multiplied into the middle of `out`, with
-/// `outside` beside it.
-#[inline(always)]
-pub(super) fn across(row: &[f32], next: Option<&[f32]>, t: f32, factor: f32, outside: f32, out: &mut [f32]) {
-    let n = row.len();
-    let into = &mut out[WIDTH..][..n];
-    match next {
-        Some(next) => mix(row, next, t, factor, into),
-        None => fade(row, outside, t, factor, into),
-    }
-    out[WIDTH - 1] = factor * outside;
-    out[WIDTH + n] = factor * outside;
-}
-
-#[inline(always)]
-fn mix(a: &[f32], b: &[f32], t: f32, factor: f32, out: &mut [f32]) {
-    let n = out.len();
-    let (a, b) = (&a[..n], &b[..n]);
-    for i in 0..n {
-        out[i] = factor * (a[i] + t * (b[i] - a[i]));
-    }
-}
-
-#[inline(always)]
-fn fade(a: &[f32], b: f32, t: f32, factor: f32, out: &mut [f32]) {
-    let n = out.len();
-    let a = &a[..n];
-    for i in 0..n {
-        out[i] = factor * (a[i] + t * (b - a[i]));
-    }
-}
-
-/// What one lane reads of a row.
-pub(super) struct Step<'a> {
-    pub lane: &'a Lane,
-    /// Radiance of the layer before, interpolated across rows; `t_col` of the way to its neighbours are the feet.
-    pub up: &'a [f32],
-    pub t_col: f32,
-    /// Half the step times σ, here and at the feet.
-    pub depth: &'a [f32],
-    pub depth_up: &'a Across,
-    /// S here and at the feet.
-    pub emitted: &'a [f32],
-    pub emitted_up: &'a Across,
-}
-
-/// reads I, σ, S at the feet and here → writes I, adds it to φ and, where there are four sums, J.
-#[inline(always)]
-pub(super) fn step(step: &Step, depth: Depth, out: &mut [f32], sums: &mut [f32]) {
-    let n = out.len();
-    let (lane, ascending) = (step.lane, step.lane.ascending);
-    let up = (&step.up[WIDTH..][..n], &step.up[if ascending { WIDTH - 1 } else { WIDTH + 1 }..][..n]);
-    let (phi, current) = sums.split_at_mut(n);
-    let (t, weight) = (step.t_col, lane.weight);
-    if depth == Depth::Empty {
-        pass_row(up, t, out, weight, phi);
-    } else {
-        let (depth_up, emitted_up) = (step.depth_up.feet(ascending, n), step.emitted_up.feet(ascending, n));
-        let (own, emitted) = (step.depth, step.emitted);
-        // Called by name: through a pointer they would not be compiled for the instruction set at hand.
-        macro_rules! run {
-            ($way:literal, $depth:expr) => {
-                step_row::<$way, { $depth as u8 }>(up, t, depth_up, own, emitted_up, emitted, out, weight, phi)
-            };
-        }
-        match (ascending, depth) {
-            (true, Depth::Slight) => run!(true, Depth::Slight),
-            (false, Depth::Slight) => run!(false, Depth::Slight),
-            (true, Depth::Thin) => run!(true, Depth::Thin),
-            (false, Depth::Thin) => run!(false, Depth::Thin),
-            (true, _) => run!(true, Depth::Thick),
-            (false, _) => run!(false, Depth::Thick),
-        }
-    }
-    for (sum, omega) in current.chunks_exact_mut(n).zip(lane.omega) {
-        add(weight * omega, out, sum);
-    }
-}
-
-/// Largest size of a value.
+/// Largest of values that are not negative.
 #[inline(always)]
 pub(super) fn largest(values: &[f32]) -> f32 {
-    let mut most = [0.0f32; WIDTH];
-    for values in values.chunks(WIDTH) {
-        for (m, v) in most.iter_mut().zip(values) {
-            *m = if v.abs() > *m { v.abs() } else { *m };
+    let mut most = [0.0f32; 2 * WIDTH];
+    let whole = values.len() / most.len() * most.len();
+    for at in (0..whole).step_by(2 * WIDTH) {
+        let block = &values[at..at + 2 * WIDTH];
+        for i in 0..2 * WIDTH {
+            most[i] = if block[i] > most[i] { block[i] } else { most[i] };
         }
     }
-    most.into_iter().fold(0.0, f32::max)
+    let rest = values[whole..].iter().fold(0.0, |m, v| if *v > m { *v } else { m });
+    most.iter().fold(rest, |m, v| if *v > m { *v } else { m })
 }
 
+/// `A = 1 − e^−τ` and `B = 1 − A/τ` of steps of `length` through extinction σ. What a voxel gets does not depend on its neighbours,
+/// only how many formulas are tried does.
 #[inline(always)]
-fn add(weight: f32, values: &[f32], sum: &mut [f32]) {
-    sum.iter_mut().zip(values).for_each(|(s, v)| *s += weight * v);
-}
-
-/// Radiance that nothing is taken from and nothing added to.
-#[inline(always)]
-fn pass_row((here, beside): (&[f32], &[f32]), t: f32, out: &mut [f32], weight: f32, phi: &mut [f32]) {
-    let n = out.len();
-    let (here, beside, phi) = (&here[..n], &beside[..n], &mut phi[..n]);
-    for i in 0..n {
-        let radiance = here[i] + t * (beside[i] - here[i]);
-        out[i] = radiance;
-        phi[i] += weight * radiance;
+pub(super) fn optics(depth: Depth, length: f32, sigma: &[f32], absorbed: &mut [f32], short: &mut [f32]) {
+    match depth {
+        Depth::Empty => {
+            absorbed.fill(0.0);
+            short.fill(0.0);
+        }
+        Depth::Slight => optics_up_to::<{ Depth::Slight as u8 }>(length, sigma, absorbed, short),
+        Depth::Thin => optics_up_to::<{ Depth::Thin as u8 }>(length, sigma, absorbed, short),
+        Depth::Thick => optics_up_to::<{ Depth::Thick as u8 }>(length, sigma, absorbed, short),
     }
 }
 
-/// The mutable rows are arguments of their own, so that the compiler knows that they overlap nothing.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn step_row<const ASCENDING: bool, const DEPTH: u8>(
-    (up_here, up_beside): (&[f32], &[f32]),
-    t: f32,
-    (depth_up, depth_step): (&[f32], &[f32]),
-    depth: &[f32],
-    (emitted_up, emitted_step): (&[f32], &[f32]),
-    emitted: &[f32],
-    out: &mut [f32],
-    weight: f32,
-    phi: &mut [f32],
-) {
-    let n = out.len();
-    let (up_here, up_beside, phi) = (&up_here[..n], &up_beside[..n], &mut phi[..n]);
-    let (depth_up, depth_step, depth) = (&depth_up[..n], &depth_step[..n], &depth[..n]);
-    let (emitted_up, emitted_step, emitted) = (&emitted_up[..n], &emitted_step[..n], &emitted[..n]);
+fn optics_up_to<const DEPTH: u8>(length: f32, sigma: &[f32], absorbed: &mut [f32], short: &mut [f32]) {
+    let n = sigma.len();
+    let (absorbed, short) = (&mut absorbed[..n], &mut short[..n]);
     for i in 0..n {
-        let foot = |value: f32, step: f32| if ASCENDING { value - step } else { value + step };
-        let up = up_here[i] + t * (up_beside[i] - up_here[i]);
-        let tau = foot(depth_up[i], depth_step[i]) + depth[i];
-        let s_up = foot(emitted_up[i], emitted_step[i]);
-        let (gain, slope) = (s_up - up, emitted[i] - s_up);
-        let radiance = up
-            + if DEPTH == Depth::Slight as u8 {
-                thin(&SLIGHT, tau, gain, slope)
-            } else if DEPTH == Depth::Thin as u8 {
-                thin(&THIN, tau, gain, slope)
-            } else {
-                thick(tau, gain, slope)
-            };
-        out[i] = radiance;
-        phi[i] += weight * radiance;
+        let tau = length * sigma[i];
+        let (mut a, mut b) = thin(&SLIGHT, tau);
+        if DEPTH >= Depth::Thin as u8 {
+            let (c, d) = thin(&THIN, tau);
+            (a, b) = if tau > 0.5 { (c, d) } else { (a, b) };
+        }
+        if DEPTH >= Depth::Thick as u8 {
+            let c = 1.0 - exp(-tau);
+            (a, b) = if tau > 2.0 { (c, 1.0 - c / tau) } else { (a, b) };
+        }
+        (absorbed[i], short[i]) = (a, b);
     }
 }
 
-/// `(1 − e^−τ)·gain + w₀·slope`; the weights by their series where differences would cancel.
-#[inline(always)]
-fn thick(tau: f32, gain: f32, slope: f32) -> f32 {
-    let absorbed = 1.0 - exp(-tau);
-    let weight = 1.0 - absorbed / tau;
-    let small = tau.min(0.125);
-    let series =
-        small * (0.5 - small * (1.0 / 6.0 - small * (1.0 / 24.0 - small * (1.0 / 120.0 - small * (1.0 / 720.0)))));
-    let thin = tau < 0.125;
-    let (absorbed, weight) = (if thin { tau * (1.0 - series) } else { absorbed }, if thin { series } else { weight });
-    absorbed * gain + weight * slope
-}
-
-/// `w₀/τ` for τ up to ½ and up to 2: polynomials through its values at Chebyshev's nodes, to 2.1e-8 and 3e-8.
+/// `B/τ` for τ up to ½ and up to 2: polynomials through its values at Chebyshev's nodes, to 2.1e-8 and 3e-8.
 const SLIGHT: [f32; 5] = [0.5, -0.166_665_63, 0.041_649_93, -0.008_238_221_5, 0.001_164_287];
 const THIN: [f32; 7] =
     [0.499_999_97, -0.166_665_58, 0.041_657_96, -0.008_306_631, 0.001_349_234_5, -0.000_167_222_74, 0.000_011_712_907];
 
-/// The same without exponential and division: with `q = w₀/τ` it is `τ·[gain + q·(slope − τ·gain)]`.
+/// A and B without exponential and division: `A = τ(1 − B)`.
 #[inline(always)]
-fn thin<const N: usize>(quotient: &[f32; N], tau: f32, gain: f32, slope: f32) -> f32 {
+fn thin<const N: usize>(quotient: &[f32; N], tau: f32) -> (f32, f32) {
     let mut q = quotient[N - 1];
     for k in (0..N - 1).rev() {
         q = quotient[k] + tau * q;
     }
-    tau * (gain + q * (slope - tau * gain))
+    let b = tau * q;
+    (tau - tau * b, b)
 }
 
-/// S towards a direction from its isotropic part and its gradient.
+/// `a + t(b − a)`.
 #[inline(always)]
-pub(super) fn towards(omega: &[f32; 3], [s, x, y, z]: [&[f32]; 4], out: &mut [f32]) {
-    let n = s.len();
-    let (out, x, y, z) = (&mut out[..n], &x[..n], &y[..n], &z[..n]);
+pub(super) fn blend(a: &[f32], b: &[f32], t: f32, out: &mut [f32]) {
+    let n = out.len();
+    let (a, b) = (&a[..n], &b[..n]);
     for i in 0..n {
-        out[i] = (s[i] + (omega[0] * x[i] + omega[1] * y[i] + omega[2] * z[i])).max(0.0);
+        out[i] = a[i] + t * (b[i] - a[i]);
+    }
+}
+
+/// Radiance at the feet: interpolated across rows, and `t` of the way to be gone towards the column `beside`.
+#[derive(Clone, Copy)]
+pub(super) struct Feet<'a> {
+    pub here: &'a [f32],
+    pub beside: &'a [f32],
+    pub t: f32,
+}
+
+/// Radiance goes on as it came; its multiple by `weight` is added to `sum`.
+#[inline(always)]
+pub(super) fn pass_on(Feet { here, beside, t }: Feet, weight: f32, exit: &mut [f32], sum: &mut [f32]) {
+    let n = exit.len();
+    let sum = &mut sum[..n];
+    let (here, beside) = (&here[..n], &beside[..n]);
+    for i in 0..n {
+        let entry = here[i] + t * (beside[i] - here[i]);
+        exit[i] = entry;
+        sum[i] += weight * entry;
+    }
+}
+
+/// The same through voxels that take `absorbed` of it and give as much of their source function. The sum is of what enters.
+#[inline(always)]
+pub(super) fn cross(
+    Feet { here, beside, t }: Feet,
+    absorbed: &[f32],
+    source: &[f32],
+    weight: f32,
+    exit: &mut [f32],
+    sum: &mut [f32],
+) {
+    let n = exit.len();
+    let sum = &mut sum[..n];
+    let (here, beside, absorbed, source) = (&here[..n], &beside[..n], &absorbed[..n], &source[..n]);
+    for i in 0..n {
+        let entry = here[i] + t * (beside[i] - here[i]);
+        exit[i] = entry + absorbed[i] * (source[i] - entry);
+        sum[i] += weight * entry;
+    }
+}
+
+/// Makes the sum of what enters that of means over voxels.
+#[inline(always)]
+pub(super) fn average(short: &[f32], source: &[f32], weight: f32, sum: &mut [f32]) {
+    let n = sum.len();
+    let (short, source) = (&short[..n], &source[..n]);
+    for i in 0..n {
+        sum[i] += short[i] * (weight * source[i] - sum[i]);
+    }
+}
+
+/// Through voxels whose source function is given by its isotropic part and its gradient along `omega`. What is added to φ and J,
+/// by the weights given, is the mean over each voxel.
+#[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "so that the compiler knows that what is written overlaps nothing")]
+pub(super) fn cross_towards(
+    Feet { here, beside, t }: Feet,
+    [absorbed, short]: [&[f32]; 2],
+    omega: [f32; 3],
+    [s, x, y, z]: [&[f32]; 4],
+    exit: &mut [f32],
+    weights: [f32; 4],
+    phi: &mut [f32],
+    j_x: &mut [f32],
+    j_y: &mut [f32],
+    j_z: &mut [f32],
+) {
+    let n = exit.len();
+    let (phi, j_x, j_y, j_z) = (&mut phi[..n], &mut j_x[..n], &mut j_y[..n], &mut j_z[..n]);
+    let (here, beside, absorbed, short) = (&here[..n], &beside[..n], &absorbed[..n], &short[..n]);
+    let (s, x, y, z) = (&s[..n], &x[..n], &y[..n], &z[..n]);
+    for i in 0..n {
+        let entry = here[i] + t * (beside[i] - here[i]);
+        let source = (s[i] + (omega[0] * x[i] + omega[1] * y[i] + omega[2] * z[i])).max(0.0);
+        let gain = source - entry;
+        exit[i] = entry + absorbed[i] * gain;
+        let mean = entry + short[i] * gain;
+        phi[i] += weights[0] * mean;
+        j_x[i] += weights[1] * mean;
+        j_y[i] += weights[2] * mean;
+        j_z[i] += weights[3] * mean;
     }
 }

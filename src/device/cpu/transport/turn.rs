@@ -1,62 +1,92 @@
-//! Layers perpendicular to x as contiguous rows, and back.
+//! Volumes with x slowest, (x, z, y), so that layers perpendicular to x are contiguous; and back.
 
-use std::ops::Range;
+use rayon::prelude::*;
 
-use super::super::simd::transpose;
-use super::{BLOCK, Band, Job, WIDTH};
+use super::super::shared::Shared;
+use super::super::simd::{dispatch, prefetch, transpose};
+use super::WIDTH;
 
-/// Values between layers of `rows` rows: one line more than they take, because a block of layers is written and read across
-/// and must not fall into one set of a cache.
-pub(super) fn layer_stride(rows: usize, padded: usize) -> usize {
-    rows * padded + WIDTH
+/// Values between layers: one line more than they take, for a block of layers is written and read across and must not fall into
+/// one set of a cache.
+pub(super) fn layer([_, ny, nz]: [usize; 3]) -> usize {
+    nz * ny + WIDTH
 }
 
-/// Copies the block's layers into rows along y: (field, layer, row, column).
+/// Layers that share the cache lines of x.
+fn blocks(nx: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..nx).step_by(WIDTH).map(move |x| (x, WIDTH.min(nx - x)))
+}
+
+/// Planes that are turned together: they stay in a second-level cache, and what is written of a layer is one piece.
+const PLANES: usize = 8;
+
+/// Rows ahead of those at work whose cache lines are asked for: each is a memory access of its own.
+const AHEAD: usize = 3 * WIDTH;
+
+/// Asks for the values from `x` on in some rows of a plane, as far as there are such.
 #[inline(always)]
-pub(super) fn turn_in(job: &Job, held: &Range<usize>, turned: &mut [f32]) {
-    let ([nx, ny, _], padded) = (job.size, job.padded());
-    let (layer, span) = (layer_stride(held.len(), padded), job.span());
-    let at = |x: usize| job.layer(x) - job.layers.start;
-    for (f, field) in job.fields.iter().enumerate() {
-        let slots = &mut turned[f * BLOCK * layer..][..BLOCK * layer];
-        for (r, z) in held.clone().enumerate() {
-            let plane = &field[z * ny * nx..][..ny * nx];
-            let (start, step) = (at(span.start) * layer + r * padded, if job.batch.ascending { 1 } else { -1 });
-            assert!(start + ny <= slots.len() && at(span.end - 1) * layer + r * padded + ny <= slots.len());
-            // SAFETY: the lines of the plane hold `span`, which lies in the grid; slots and rows lie in `slots`, as just seen
-            // for the first and the last layer, and `slots` overlaps no field.
-            unsafe {
-                let (from, to) = (plane.as_ptr().add(span.start), slots.as_mut_ptr().add(start));
-                transpose(from, nx as isize, ny, span.len(), to, step * layer as isize);
+fn ask_for(plane: &[f32], nx: usize, x: usize, rows: std::ops::Range<usize>) {
+    for row in rows {
+        if let Some(value) = plane.get(row * nx + x) {
+            prefetch(value);
+        }
+    }
+}
+
+/// Copies (z, y, x) to (x, z, y).
+pub(super) fn turn(size: [usize; 3], from: &[f32], to: &mut [f32]) {
+    let to = Shared::new(to);
+    let planes = from.par_chunks(PLANES * size[0] * size[1]);
+    planes.enumerate().for_each(|(n, planes)| turn_planes(size, n * PLANES, planes, to));
+}
+
+/// Copies (x, z, y) to (z, y, x).
+pub(super) fn turn_back(size: [usize; 3], from: &[f32], to: &mut [f32]) {
+    let planes = to.par_chunks_mut(PLANES * size[0] * size[1]);
+    planes.enumerate().for_each(|(n, planes)| turn_planes_back(size, n * PLANES, from, planes));
+}
+
+dispatch! {
+    fn turn_planes(size: [usize; 3], start: usize, planes: &[f32], to: Shared) = turn_planes_body;
+}
+
+#[inline(always)]
+fn turn_planes_body(size: [usize; 3], start: usize, planes: &[f32], to: Shared) {
+    let ([nx, ny, _], layer) = (size, layer(size));
+    for (x, layers) in blocks(nx) {
+        for (z, plane) in planes.chunks_exact(nx * ny).enumerate() {
+            for y in (0..ny).step_by(WIDTH) {
+                let (rows, at) = (WIDTH.min(ny - y), x * layer + (start + z) * ny + y);
+                to.check(at + (layers - 1) * layer, rows);
+                ask_for(&planes[z * nx * ny..], nx, x, y + AHEAD..y + AHEAD + WIDTH);
+                // SAFETY: the block lies in the plane, and in `to` as just seen for its last layer; planes of different z go to
+                // different places, which are not in `planes`.
+                unsafe { transpose(plane[y * nx + x..].as_ptr(), nx as isize, rows, layers, to.at(at), layer as isize) };
             }
         }
     }
 }
 
-/// Adds (part, layer, row, column) to φ and J.
+dispatch! {
+    fn turn_planes_back(size: [usize; 3], start: usize, from: &[f32], planes: &mut [f32]) = turn_planes_back_body;
+}
+
 #[inline(always)]
-pub(super) fn turn_out(job: &Job, band: &mut Band, sums: &[f32], columns: &mut [f32]) {
-    let ([nx, ny, _], padded, height, span) = (job.size, job.padded(), band.rows.len(), job.span());
-    let at = |x: usize| job.layer(x) - job.layers.start;
-    for (part, into) in band.sums.iter_mut().enumerate() {
-        let layer = layer_stride(height, padded);
-        let from = &sums[part * BLOCK * layer..][..BLOCK * layer];
-        for (r, plane) in into[0].chunks_exact_mut(ny * nx).enumerate() {
-            let (start, step) = (at(span.start) * layer + r * padded, if job.batch.ascending { 1 } else { -1 });
-            let columns = &mut columns[..ny * WIDTH];
-            assert!(start + ny <= from.len() && at(span.end - 1) * layer + r * padded + ny <= from.len());
-            // SAFETY: slots and rows lie in `from`, as just seen for the first and the last layer; `columns` holds a block
-            // of layers for each of ny lines.
-            unsafe {
-                let (from, to) = (from.as_ptr().add(start), columns.as_mut_ptr());
-                transpose(from, step * layer as isize, span.len(), ny, to, WIDTH as isize);
-            }
-            for (line, values) in plane.chunks_exact_mut(nx).zip(columns.chunks_exact(WIDTH)) {
-                let (line, values) = (&mut line[span.clone()], &values[..span.len()]);
-                if job.first {
-                    line.copy_from_slice(values);
-                } else {
-                    line.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+fn turn_planes_back_body(size: [usize; 3], start: usize, from: &[f32], planes: &mut [f32]) {
+    let ([nx, ny, _], layer) = (size, layer(size));
+    let mut block = [0.0; WIDTH * WIDTH];
+    for (x, layers) in blocks(nx) {
+        for (z, plane) in planes.chunks_exact_mut(nx * ny).enumerate() {
+            for y in (0..ny).step_by(WIDTH) {
+                let (rows, at) = (WIDTH.min(ny - y), x * layer + (start + z) * ny + y);
+                assert!(at + (layers - 1) * layer + rows <= from.len());
+                ask_for(plane, nx, x, y + AHEAD..y + AHEAD + WIDTH);
+                // SAFETY: the block lies in `from`, as just seen for its last layer.
+                unsafe {
+                    transpose(from[at..].as_ptr(), layer as isize, layers, rows, block.as_mut_ptr(), WIDTH as isize);
+                }
+                for (line, values) in plane[y * nx..].chunks_mut(nx).zip(block.chunks_exact(WIDTH)).take(rows) {
+                    line[x..x + layers].copy_from_slice(&values[..layers]);
                 }
             }
         }
