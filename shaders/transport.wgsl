@@ -1,5 +1,6 @@
-// One pass of transport along ordinates: I = I_up e^−τ + w₀ S + w₁ S_up with w₀ = 1 − (1 − e^−τ)/τ, w₁ = (1 − e^−τ)/τ − e^−τ
-// and τ = ½(σ_up + σ)·length, accumulated into φ = Σ w I and J = Σ w Ω I. Outside the grid σ = 0 and I = S = the inflow.
+// One pass of transport along ordinates by step characteristics: I_out = I_in + A(S − I_in), A = 1 − e^−τ, τ = σ·length; the mean
+// over the voxel, Ī = I_in + B(S − I_in), B = 1 − A/τ, is accumulated into φ = Σ w Ī and J = Σ w Ω Ī. I_in is what left the
+// layer before, bilinear at the foot; outside the grid it is the inflow.
 //
 // Ordinates that share dominant axis and sign run together, one layer a dispatch; coordinates are (b, c, a) as in sweep.wgsl.
 
@@ -72,11 +73,11 @@ fn radiance_index(parity: u32, ordinate: u32, q: vec2<u32>) -> u32 {
     return ((parity * params.count + ordinate) * params.size.y + q.y) * params.size.x + q.x;
 }
 
-// 1 − e^−τ and w₀; the latter by its series where the difference would cancel.
+// A and B; the latter by its series where the difference would cancel.
 fn characteristic(tau: f32) -> vec2<f32> {
     if tau < 0.125 {
-        let w0 = tau * (0.5 - tau * (1.0 / 6.0 - tau * (1.0 / 24.0 - tau * (1.0 / 120.0 - tau / 720.0))));
-        return vec2(tau * (1.0 - w0), w0);
+        let b = tau * (0.5 - tau * (1.0 / 6.0 - tau * (1.0 / 24.0 - tau * (1.0 / 120.0 - tau / 720.0))));
+        return vec2(tau * (1.0 - b), b);
     }
     let absorbed = 1.0 - exp(-tau);
     return vec2(absorbed, 1.0 - absorbed / tau);
@@ -86,7 +87,7 @@ fn characteristic(tau: f32) -> vec2<f32> {
 // repeats to the bit.
 var<workgroup> partial: array<vec4<f32>, 256>;
 
-// ordinates, sigma, source, gradient, radiance of the layer before → radiance, sum, current
+// ordinates, sigma, source, gradient, radiance that leaves the layer before → radiance, sum, current
 @compute @workgroup_size(16, 2, ABREAST)
 fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_id) thread: vec3<u32>) {
     let q = id.xy;
@@ -105,12 +106,7 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
                 radiance[radiance_index(layer.number & 1u, d, q)] = radiance[faces + d * params.plane + p % params.plane];
                 continue;
             }
-            let s = sigma[p];
-            let emitted = source_at(p, o.direction);
-            // Before the first layer: half a step through the voxel itself.
-            var up = o.inflow;
-            var s_up = 0.0;
-            var emitted_up = emitted;
+            var entering = o.inflow;
             if layer.number > 0u {
                 // Straight upstream, one over along b, along c, along both. An index below 0 wraps round and is outside too.
                 let toward = select(vec2(-1), vec2(1), o.foot >= vec2(0.0));
@@ -120,26 +116,19 @@ fn step_layer(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invoc
                 let inside = vec4(true, on_grid.x, on_grid.y, all(on_grid));
                 let f = abs(o.foot);
                 let weights = vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y);
-
                 let i = vec4(radiance_index(before, d, q), radiance_index(before, d, vec2(v.x, q.y)),
                     radiance_index(before, d, vec2(q.x, v.y)), radiance_index(before, d, v));
                 let radiances = vec4(radiance[i.x], radiance[i.y], radiance[i.z], radiance[i.w]);
-                up = dot(weights, select(vec4(o.inflow), radiances, inside));
-
-                let above = u32(i32(a) - params.travel);
-                let j = vec4(at(vec3(q, above)), at(vec3(v.x, q.y, above)), at(vec3(q.x, v.y, above)), at(vec3(v, above)));
-                s_up = dot(weights, select(vec4(0.0), vec4(sigma[j.x], sigma[j.y], sigma[j.z], sigma[j.w]), inside));
-                let sources = vec4(source_at(j.x, o.direction), source_at(j.y, o.direction),
-                    source_at(j.z, o.direction), source_at(j.w, o.direction));
-                emitted_up = dot(weights, select(vec4(o.inflow), sources, inside));
+                entering = dot(weights, select(vec4(o.inflow), radiances, inside));
             }
-            let step = characteristic(0.5 * o.length * (s_up + s));
-            let value = up + step.x * (emitted_up - up) + step.y * (emitted - emitted_up);
-            radiance[radiance_index(layer.number & 1u, d, q)] = value;
+            let step = characteristic(sigma[p] * o.length);
+            let gain = source_at(p, o.direction) - entering;
+            let leaving = entering + step.x * gain;
+            radiance[radiance_index(layer.number & 1u, d, q)] = leaving;
             if p / params.plane == params.carried {
-                radiance[faces + (params.count + d) * params.plane + p % params.plane] = value;
+                radiance[faces + (params.count + d) * params.plane + p % params.plane] = leaving;
             }
-            own += o.weight * value * vec4(1.0, o.direction);
+            own += o.weight * (entering + step.y * gain) * vec4(1.0, o.direction);
         }
     }
     partial[thread.z * 32u + lane] = own;

@@ -51,10 +51,6 @@ pub use scatter::{Ordinate, SourceTerm, Transport, Travel};
 pub use sweep::{Edge, PointSweep, Sweep};
 pub use trace::{Phase, Sampling, Surface, Tally, Trace, Traced};
 
-/// Extinction just outside the medium (see [`Device::extend`]), per world length: far too little to dim anything in a
-/// volume of up to 10¹⁰ world lengths, and far above what f32 cannot hold.
-pub const FAINT: f32 = 1e-18;
-
 /// Values over which no inner product is summed at once: see [`Device::dot_parts`].
 pub const RUN: usize = 1 << 14;
 
@@ -293,16 +289,6 @@ pub trait Device: Send + Sync {
     fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
         let [a, b] = self.both(a, b)?;
         Ok(a.iter().zip(&b).fold(0.0, |m, (a, b)| if *b > 0.0 { m.max(a / b) } else { m }))
-    }
-
-    /// Continues a coefficient of the medium (scattering, emission, extinction itself) past the medium's edges in
-    /// proportion to its extinction: where σ = 0 but some of the 26 neighbours have σ > 0, `out = Σvalues/Σσ ·`
-    /// [`FAINT`] over them; elsewhere `out = values`. So S = values/σ is defined wherever it is interpolated.
-    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
-        let [sigma, values] = self.both(sigma, values)?;
-        let mut extended = vec![0.0; out.len()];
-        cpu::extend::extend(size, &sigma, &values, &mut extended);
-        self.upload(&extended, out)
     }
 
     /// Both volumes on the host.

@@ -124,9 +124,9 @@ pub struct Scattered {
     grid: Grid,
     anisotropy: f32,
     channels: Vec<Channel>,
-    /// σ* of the channel at work, continued past the edges of the medium, and scratch.
-    sigma: Buffer,
-    room: [Buffer; 2],
+    /// σ* of the channel at work, where that is not the problem's, and zeros.
+    sigma: Option<Buffer>,
+    zeros: Buffer,
     /// Scratch: the source function of the grid, and a state of it.
     whole: State,
     inside: Inside,
@@ -194,8 +194,8 @@ impl Scattered {
             grid,
             anisotropy,
             channels: (0..channels).map(channel).collect::<Result<_>>()?,
-            sigma: device.alloc(grid.len())?,
-            room: [device.alloc(grid.len())?, device.alloc(grid.len())?],
+            sigma: None,
+            zeros: device.alloc(grid.len())?,
             whole: state()?,
             inside: Inside::new(device, &grid)?,
             source: state()?,
@@ -214,11 +214,12 @@ impl Scattered {
         // the whole grid.
         let states = 3 * channels + 3 + 1 + 2 * anderson::DEPTH + 1;
         let parts = if anisotropy != 0.0 { 4 } else { 1 };
-        // Extinction, scattering and emission as they are and in the box; extinction continued past its edges, and two more of
-        // scratch; ones.
-        let optics = 1 + channels * (1 + usize::from(glows)) + 2 + usize::from(glows) + 3 + 1;
+        // Extinction, scattering and emission as they are and in the box; a channel's own extinction, zeros, ones.
+        let optics = 1 + channels * (1 + usize::from(glows)) + 2 + usize::from(glows) + 3;
+        // What a pass has turned, and its sums of two ways as they are and turned.
+        let passing = 1 + parts + 4 * parts;
         // Of a coarse grid, ten volumes of an eighth.
-        states * parts + optics + 2 * lights + 2
+        states * parts + optics + 2 * lights + passing + 2
     }
 
     /// True when the kept solution is on this grid with as many channels and the same g.
@@ -282,6 +283,7 @@ impl Scattered {
         let over_the_grid = (set.len() * self.grid.len()) as u64;
         self.prepare(device, problem, channel)?;
         let Scattered { grid, channels, sigma, whole, inside, source, anderson, coarse, ones, .. } = self;
+        let sigma = sigma.as_ref().filter(|_| problem.chromatic[channel] != 1.0).unwrap_or(problem.sigma);
         let [x, value, other] = &mut self.states;
         let Channel { solution, before, known, majorant, won } = &mut channels[channel];
         if !problem.scattering_on || inside.grid.is_empty() {
@@ -354,8 +356,7 @@ impl Scattered {
         }
 
         device.combine(&light, &mut whole.phi)?;
-        device.combine(&[], &mut self.room[0])?;
-        let direct = f64::from(device.distance(&whole.phi, &self.room[0])?);
+        let direct = f64::from(device.distance(&whole.phi, &self.zeros)?);
         let scale = |peak: f64| direct.max(peak).max(f64::MIN_POSITIVE);
         let tolerance = f64::from(problem.tolerance);
         let target = |peak: f64| tolerance * scale(peak) / certificate.gain.max(f64::MIN_POSITIVE);
@@ -436,27 +437,27 @@ impl Scattered {
         })
     }
 
-    /// Makes the optics of a channel, continued past the edges of the medium, in its box.
+    /// Makes the optics of a channel in the box of the medium.
     fn prepare(&mut self, device: &dyn Device, problem: &ScatterProblem, channel: usize) -> Result<()> {
-        let Scattered { grid: Grid { size, .. }, sigma, room: [scaled, extended], inside, .. } = self;
+        let Scattered { grid: Grid { size, .. }, sigma, states: [scratch, ..], inside, .. } = self;
         let (size, region, chromatic) = (*size, inside.region, problem.chromatic[channel]);
-        if chromatic == 1.0 {
-            device.extend(size, problem.sigma, problem.sigma, sigma)?;
-        } else {
-            device.combine(&[(problem.sigma, chromatic)], scaled)?;
-            device.extend(size, problem.sigma, scaled, sigma)?;
+        if chromatic != 1.0 {
+            let sigma = match sigma {
+                Some(sigma) => sigma,
+                None => sigma.insert(device.alloc(problem.sigma.len())?),
+            };
+            device.combine(&[(problem.sigma, chromatic)], sigma)?;
         }
         if !problem.scattering_on {
             return Ok(());
         }
+        let sigma = sigma.as_ref().filter(|_| chromatic != 1.0).unwrap_or(problem.sigma);
         device.crop(size, sigma, region, &mut inside.sigma)?;
-        let g = problem.anisotropy;
-        device.combine(&[(&problem.scattering[channel], (1.0 - forward(g)) * chromatic)], scaled)?;
-        device.extend(size, problem.sigma, scaled, extended)?;
-        device.crop(size, extended, region, &mut inside.scattering)?;
+        let scatters = (1.0 - forward(problem.anisotropy)) * chromatic;
+        device.crop(size, &problem.scattering[channel], region, &mut scratch.phi)?;
+        device.combine(&[(&scratch.phi, scatters)], &mut inside.scattering)?;
         if let Some(emission) = problem.emission.get(channel) {
-            device.extend(size, problem.sigma, emission, extended)?;
-            device.crop(size, extended, region, &mut inside.emission)?;
+            device.crop(size, emission, region, &mut inside.emission)?;
         }
         for ((light, factors, _), cropped) in problem.first.iter().zip(&mut inside.first) {
             if factors[channel] != 0.0 {

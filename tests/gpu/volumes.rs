@@ -121,22 +121,6 @@ fn combinations_agree() {
     assert!((want[3] - got[3]).abs() < 1e-6 * want[3], "{want:?} {got:?}");
 }
 
-#[test]
-fn extensions_agree() {
-    let sigma: Vec<f32> = noise(33, ODD.iter().product()).iter().map(|v| if *v < 0.9 { 0.0 } else { *v }).collect();
-    let values: Vec<f32> = sigma.iter().zip(noise(34, sigma.len())).map(|(s, v)| s * v).collect();
-    let [want, got] = both(|d| {
-        let mut out = d.alloc(sigma.len()).unwrap();
-        d.extend(ODD, &upload(d, &sigma), &upload(d, &values), &mut out).unwrap();
-        download(d, &out)
-    });
-    assert_close(&want, &got, 1e-6, "all");
-    // The continuation is far below the values: compare it on its own.
-    let faint = |v: &[f32]| v.iter().zip(&sigma).map(|(v, s)| if *s > 0.0 { 0.0 } else { *v }).collect::<Vec<_>>();
-    assert!(faint(&want).iter().any(|v| *v > 0.0));
-    assert_close(&faint(&want), &faint(&got), 1e-5, "continued");
-}
-
 /// Points inside, in the rim and far outside, also of volumes of one plane.
 #[test]
 fn samples_agree() {

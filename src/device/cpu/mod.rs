@@ -23,7 +23,6 @@ mod compose;
 mod convect;
 pub(crate) mod crop;
 mod diffuse;
-pub(crate) mod extend;
 pub mod float;
 mod fronts;
 pub(crate) mod gradient;
@@ -268,11 +267,6 @@ impl Device for Cpu {
 
     fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
         Ok(self.pool.install(|| combine::largest_ratio(host(a), host(b))))
-    }
-
-    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.pool.install(|| extend::extend(size, host(sigma), host(values), host_mut(out)));
-        Ok(())
     }
 
     fn compose(&self, terms: &[(&Buffer, [f32; 3])], out: &mut [[f32; 3]]) -> Result<()> {

@@ -27,7 +27,6 @@ mod compose;
 mod convect;
 mod crop;
 mod diffuse;
-mod extend;
 mod fronts;
 mod gradient;
 mod irradiate;
@@ -507,10 +506,6 @@ impl Device for Gpu {
 
     fn largest_ratio(&self, a: &Buffer, b: &Buffer) -> Result<f32> {
         combine::largest_ratio(self, a, b)
-    }
-
-    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
-        extend::extend(self, size, sigma, values, out)
     }
 
     fn resize(&self, buffer: &mut Buffer, len: usize) -> Result<()> {

@@ -10,7 +10,7 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, crop, diffuse, extend, gradient, irradiate, march, relax, sample, slices, source,
+    bricks, classify, convect, crop, diffuse, gradient, irradiate, march, relax, sample, slices, source,
     surface, sweep, sweep_point, trace, transport,
 };
 use crate::error::{Error, Result};
@@ -71,8 +71,6 @@ pub static RELAX: Shader = shader!("relax", ["grid"], size_of::<relax::Relax>())
 pub static PROLONG: Shader = shader!("prolong", ["grid"], size_of::<relax::Prolong>());
 /// See `shaders/combine.wgsl`.
 pub static COMBINE: Shader = shader!("combine", ["grid"], None);
-/// See `shaders/extend.wgsl`.
-pub static EXTEND: Shader = shader!("extend", ["grid"], size_of::<extend::Params>());
 /// See `shaders/crop.wgsl`.
 pub static CROP: Shader = shader!("crop", ["grid"], size_of::<crop::Params>());
 /// See `shaders/compose.wgsl`.
@@ -132,7 +130,6 @@ pub fn shaders() -> Vec<&'static Shader> {
         &TRANSPORT,
         &CONVECT,
         &COMBINE,
-        &EXTEND,
         &CROP,
         &COMPOSE,
         &SAMPLE,

@@ -299,12 +299,6 @@ impl Device for Paged {
         self.largest_of(a, b, |a, b| self.inner.largest_ratio(a, b))
     }
 
-    fn extend(&self, size: [usize; 3], sigma: &Buffer, values: &Buffer, out: &mut Buffer) -> Result<()> {
-        self.planes(size, 1, &[sigma, values], &mut [out], |held, volumes, made| {
-            self.inner.extend([size[0], size[1], held.len()], volumes[0], volumes[1], made[0])
-        })
-    }
-
     fn fill(&self, value: f32, into: &mut Buffer) -> Result<()> {
         let store = store_mut(into);
         self.prepare(store)?;

@@ -45,7 +45,7 @@ impl Inside {
         })
     }
 
-    /// Finds the box outside of which `sigma`, continued past its edges, is 0; empty where there is no medium.
+    /// Finds the box outside of which `sigma` is 0; empty where there is no medium.
     pub fn find(&mut self, device: &dyn Device, grid: &Grid, sigma: &Buffer) -> Result<()> {
         let (size, cells) = (grid.size, cells(grid.size));
         device.restrict(size, sigma, cells, &mut self.cells)?;
@@ -60,9 +60,9 @@ impl Inside {
             low = [low[0].min(first), low[1].min(j), low[2].min(k)];
             high = [high[0].max(last + 1), high[1].max(j + 1), high[2].max(k + 1)];
         }
-        // One voxel for what is continued past the edges, and one where there is nothing.
-        let start: [usize; 3] = std::array::from_fn(|a| (low[a] * size[a] / cells[a]).saturating_sub(2));
-        let end: [usize; 3] = std::array::from_fn(|a| ((high[a] * size[a]).div_ceil(cells[a]) + 2).min(size[a]));
+        // And a voxel where there is nothing: light is looked up there too.
+        let start: [usize; 3] = std::array::from_fn(|a| (low[a] * size[a] / cells[a]).saturating_sub(1));
+        let end: [usize; 3] = std::array::from_fn(|a| ((high[a] * size[a]).div_ceil(cells[a]) + 1).min(size[a]));
         let region = Region { start, size: std::array::from_fn(|a| end[a].saturating_sub(start[a])) };
         let share = region.len() as f64 / grid.len() as f64;
         self.region = match high {
