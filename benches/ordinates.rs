@@ -1,5 +1,7 @@
 //! Time of one transport pass against the time that its memory traffic needs at the machine's copy rate, and of a solve.
-//! `cargo bench --bench ordinates [-- SIZE]`
+//! `cargo bench --bench ordinates [-- SIZE [DIRECTIONS]]`
+
+mod common;
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -10,28 +12,19 @@ use gloaming::device::cpu::Cpu;
 use gloaming::device::{Buffer, Device, Transport, Travel};
 use gloaming::light::ordinates::{ScatterProblem, Scattered, ordinates};
 
-/// Smallest time of `n` runs in seconds.
-fn best(n: usize, mut run: impl FnMut()) -> f64 {
-    let time = |_| {
-        let start = Instant::now();
-        run();
-        start.elapsed().as_secs_f64()
-    };
-    (0..n).map(time).fold(f64::INFINITY, f64::min)
-}
-
 fn main() {
-    let size = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(128usize);
+    let mut given = std::env::args().filter_map(|a| a.parse().ok());
+    let (size, only): (usize, Option<usize>) = (given.next().unwrap_or(128), given.next());
     let device = Cpu::new(0).unwrap();
     println!("{}, {size}³", device.name());
     let grid = Grid { spacing: [1.0 / size as f64; 3], ..Grid::new([size; 3]) };
     let n = grid.len();
 
-    // Two volumes that together are larger than a second-level cache, read and written on every core.
-    let source = device.alloc(4 * n).unwrap();
-    let mut target = device.alloc(4 * n).unwrap();
-    let copy = 32.0 * n as f64 / best(9, || device.combine(&[(black_box(&source), 1.0)], &mut target).unwrap());
-    println!("copy                    {:7.1} GB/s, read and written", copy * 1e-9);
+    // Of arrays that no cache holds, and of some as large as those of a pass.
+    let (source, mut target) = (device.alloc(2 * n).unwrap(), device.alloc(2 * n).unwrap());
+    let near = common::best(9, || device.combine(&[(black_box(&source), 1.0)], &mut target).unwrap());
+    let copy = [common::copy_rate(), 16.0 * n as f64 / near];
+    println!("copy {:.1} GB/s, read and written; arrays of this size {:.1} GB/s", copy[0] * 1e-9, copy[1] * 1e-9);
 
     let cloud = |at: usize| {
         let p: [f64; 3] = std::array::from_fn(|a| (at / size.pow(a as u32) % size) as f64 / size as f64 - 0.5);
@@ -48,25 +41,26 @@ fn main() {
     let mut phi = device.alloc(n).unwrap();
     let mut current: [Buffer; 3] = std::array::from_fn(|_| device.alloc(n).unwrap());
 
-    for directions in [8, 32, 128] {
+    for directions in [8, 32, 128].into_iter().filter(|d| only.is_none_or(|o| o == *d)) {
         let set = ordinates(directions, 0.0).unwrap();
         for linear in [false, true] {
             let (gradient, current) = (linear.then(|| gradient.each_ref()), linear.then(|| current.each_mut()));
             let transport = Transport { grid: &grid, ordinates: &set, sigma: &sigma, source: &source, gradient };
             let mut current = current;
-            let time = best(7, || {
+            let time = common::best(7, || {
                 let current = current.as_mut().map(|[x, y, z]| [&mut **x, &mut **y, &mut **z]);
                 black_box(device.transport(&transport, &mut phi, current).unwrap());
             });
             // For each of the six pairs of axis and way along it: σ and S in, φ in and out; with a gradient six more values.
             let bytes = 6.0 * 4.0 * n as f64 * if linear { 13.0 } else { 4.0 };
             println!(
-                "{directions:3} directions{:10} {:7.2} ms, {:.3} ns a voxel and direction, {:.1} × bandwidth-bound ({:.2} ms)",
+                "{directions:3} directions{:8} {:7.2} ms, {:.3} ns a voxel and direction, {:.1} × bandwidth-bound ({:.2} ms), {:.1} × at the nearer rate",
                 if linear { ", g ≠ 0" } else { "" },
                 time * 1e3,
                 time * 1e9 / (n * directions) as f64,
-                time * copy / bytes,
-                bytes / copy * 1e3,
+                time * copy[0] / bytes,
+                bytes / copy[0] * 1e3,
+                time * copy[1] / bytes,
             );
         }
     }

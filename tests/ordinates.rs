@@ -614,8 +614,7 @@ fn without_scattering_only_the_environment_remains() {
     let sigma = vec![2.0; grid.len()];
     let buffers = [upload(&device, &sigma), upload(&device, &zero)];
     let set = ordinates(32, 0.5).unwrap();
-    let transport =
-        Transport { grid: &grid, ordinates: &set, sigma: &buffers[0], source: &buffers[1], gradient: None };
+    let transport = Transport { grid: &grid, ordinates: &set, sigma: &buffers[0], source: &buffers[1], gradient: None };
     let mut expected = device.alloc(grid.len()).unwrap();
     device.transport(&transport, &mut expected, None).unwrap();
     assert_eq!(download(&device, solution.fluence()[0].0), download(&device, &expected));

@@ -155,6 +155,7 @@ struct Job<'a> {
 impl Job<'_> {
     /// Where row `j` of layer `l` is in the first and in the last plane of z the way the batch travels, if it is: a face holds
     /// (row, lane, column) of layers perpendicular to z, else (layer in the order of travel, lane, column).
+    #[inline(always)]
     fn outer(&self, l: usize, j: usize) -> [Option<usize>; 2] {
         if self.batch.axis == 2 {
             return [(l == 0).then_some(j), (l + 1 == self.size[2]).then_some(j)];
@@ -164,17 +165,21 @@ impl Job<'_> {
         [(j == first).then_some(l), (j == last).then_some(l)]
     }
 
+    #[inline(always)]
     fn rows(&self) -> usize {
         self.size[lateral(self.batch.axis).0]
     }
+    #[inline(always)]
     fn cols(&self) -> usize {
         self.size[lateral(self.batch.axis).1]
     }
     /// Index along the axis of the layer with number `l` in the order of travel.
+    #[inline(always)]
     fn layer(&self, l: usize) -> usize {
         if self.batch.ascending { l } else { self.size[self.batch.axis] - 1 - l }
     }
     /// Which slice of a band's sums the row with number `j` of the band in layer `l` is in, and where.
+    #[inline(always)]
     fn place(&self, l: usize, j: usize) -> (usize, usize) {
         match self.batch.axis {
             1 => (0, j * self.strides[1] + self.layer(l) * self.strides[0]),
@@ -182,6 +187,7 @@ impl Job<'_> {
         }
     }
     /// The layers of the block in the order of memory.
+    #[inline(always)]
     fn span(&self) -> Range<usize> {
         let ends = [self.layer(self.layers.start), self.layer(self.layers.end - 1)];
         ends[0].min(ends[1])..ends[0].max(ends[1]) + 1

@@ -10,8 +10,8 @@ use encase::ShaderSize;
 use wgpu::naga;
 
 use super::{
-    bricks, classify, convect, crop, diffuse, gradient, irradiate, march, relax, sample, slices, source,
-    surface, sweep, sweep_point, trace, transport,
+    bricks, classify, convect, crop, diffuse, gradient, irradiate, march, relax, sample, slices, source, surface,
+    sweep, sweep_point, trace, transport,
 };
 use crate::error::{Error, Result};
 

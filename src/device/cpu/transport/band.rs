@@ -17,7 +17,7 @@ struct Scratch {
     radiance: Aligned,
     /// For each group and lane, true where no light is.
     dark: Vec<bool>,
-    /// Rows of a group. The fields:
+    /// Rows of a group. S and its gradient:
     fields: Aligned,
     /// See [`optics`].
     absorbed: Aligned,
@@ -54,7 +54,7 @@ impl Scratch {
         self.radiance.grow(held + LANES * (BLOCK + 10) * pitch(cols));
         self.dark.resize(self.dark.len().max(held / WIDTH + LANES), false);
         let group = (0..=cols).map(|c| group_rows(c) * pitch(c)).max().unwrap_or(0);
-        self.fields.grow(fields * group);
+        self.fields.grow((fields - 1) * group);
         self.sum.grow(4 * group);
         [&mut self.absorbed, &mut self.short].into_iter().for_each(|v| v.grow(group));
         self.feet.grow(group + 2 * WIDTH);
@@ -94,9 +94,8 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
         (front + j - held.start - if lane.step_row < 0 { done } else { 0 }) * pitch
     };
     let Scratch { radiance, dark, fields: group, absorbed, short, feet, sum } = scratch;
-    let field = |f: usize, l: usize, j: usize| {
-        &job.fields[f][job.layer(l) * job.strides[0] + j * job.strides[1]..][..cols]
-    };
+    let field =
+        |f: usize, l: usize, j: usize| &job.fields[f][job.layer(l) * job.strides[0] + j * job.strides[1]..][..cols];
     enter(job, &held, front * pitch, radiance, dark);
     let summed: f32 = lanes.iter().map(|lane| lane.weight).sum();
     for (done, l) in job.layers.clone().enumerate() {
@@ -108,16 +107,21 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
             let own = range.start.max(band.rows.start)..range.end.min(band.rows.end);
             let n = range.len() * pitch;
             ask_for_next(job, band, (l, range.end), (low, high), tall);
-            for f in 0..fields {
-                let into = group[f * tall * pitch..].chunks_exact_mut(pitch);
+            for f in 1..fields {
+                let into = group[(f - 1) * tall * pitch..].chunks_exact_mut(pitch);
                 for (row, j) in into.zip(range.clone()) {
                     lay(field(f, l, j), 0.0, row);
                 }
             }
-            let [sigma, s, x, y, z] =
-                std::array::from_fn(|f| if f < fields { &group[f * tall * pitch..][..n] } else { &[][..] });
-            let depth = Depth::of(job.batch.length * largest(sigma));
-            optics(depth, job.batch.length, sigma, &mut absorbed[..n], &mut short[..n]);
+            let [s, x, y, z] =
+                std::array::from_fn(|f| if f + 1 < fields { &group[f * tall * pitch..][..n] } else { &[][..] });
+            let first = job.layer(l) * job.strides[0] + range.start * job.strides[1];
+            let densest = largest(&job.fields[0][first..], job.strides[1], range.len(), cols);
+            let depth = Depth::of(job.batch.length * densest);
+            let ways = absorbed.chunks_exact_mut(pitch).zip(short.chunks_exact_mut(pitch));
+            for ((absorbed, short), j) in ways.zip(range.clone()) {
+                optics(depth, job.batch.length, field(0, l, j), &mut absorbed[..cols], &mut short[..cols]);
+            }
             // Between rows all is absorbed.
             absorbed[..n].chunks_exact_mut(pitch).for_each(|row| row[cols..].fill(1.0));
             let (absorbed, short) = (&absorbed[..n], &short[..n]);
@@ -189,7 +193,9 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     }
     let stride = stride(cols);
     for (j, row) in band.rows.clone().zip(band.exit.chunks_exact_mut(lanes.len() * stride)) {
-        for ((lane, into), radiance) in lanes.iter().zip(row.chunks_exact_mut(stride)).zip(radiance.chunks_exact(extent)) {
+        for ((lane, into), radiance) in
+            lanes.iter().zip(row.chunks_exact_mut(stride)).zip(radiance.chunks_exact(extent))
+        {
             into[..cols].copy_from_slice(&radiance[at(j, lane, job.layers.len())..][..cols]);
         }
     }

@@ -28,18 +28,24 @@ impl Depth {
     }
 }
 
-/// Largest of values that are not negative.
+/// Largest of rows of `cols` values, `stride` apart, that are not negative.
 #[inline(always)]
-pub(super) fn largest(values: &[f32]) -> f32 {
+pub(super) fn largest(values: &[f32], stride: usize, rows: usize, cols: usize) -> f32 {
     let mut most = [0.0f32; 2 * WIDTH];
-    let whole = values.len() / most.len() * most.len();
-    for at in (0..whole).step_by(2 * WIDTH) {
-        let block = &values[at..at + 2 * WIDTH];
-        for i in 0..2 * WIDTH {
-            most[i] = if block[i] > most[i] { block[i] } else { most[i] };
+    let mut rest = 0.0f32;
+    let whole = cols / most.len() * most.len();
+    for row in 0..rows {
+        let row = &values[row * stride..][..cols];
+        for at in (0..whole).step_by(2 * WIDTH) {
+            let block = &row[at..at + 2 * WIDTH];
+            for i in 0..2 * WIDTH {
+                most[i] = if block[i] > most[i] { block[i] } else { most[i] };
+            }
+        }
+        for v in &row[whole..] {
+            rest = if *v > rest { *v } else { rest };
         }
     }
-    let rest = values[whole..].iter().fold(0.0, |m, v| if *v > m { *v } else { m });
     most.iter().fold(rest, |m, v| if *v > m { *v } else { m })
 }
 

@@ -61,7 +61,9 @@ fn turn_planes_body(size: [usize; 3], start: usize, planes: &[f32], to: Shared) 
                 ask_for(&planes[z * nx * ny..], nx, x, y + AHEAD..y + AHEAD + WIDTH);
                 // SAFETY: the block lies in the plane, and in `to` as just seen for its last layer; planes of different z go to
                 // different places, which are not in `planes`.
-                unsafe { transpose(plane[y * nx + x..].as_ptr(), nx as isize, rows, layers, to.at(at), layer as isize) };
+                unsafe {
+                    transpose(plane[y * nx + x..].as_ptr(), nx as isize, rows, layers, to.at(at), layer as isize)
+                };
             }
         }
     }
