@@ -15,8 +15,9 @@
 //! to x the volumes are turned.
 //!
 //! Ordinates that cross planes of z downwards and those that cross them upwards never share a batch and are summed apart, each half of
-//! the threads on one kind: so a grid may be passed slab by slab, each of the two ways once, and every sum is the same to the bit.
-//! What a slab leaves to the next is the radiance that leaves its last plane, its *face*.
+//! the threads on one kind. Each passes the grid slab by slab, as thick as a second-level cache holds, all batches through one slab
+//! before the next: what a slab leaves to the next is the radiance that leaves its last plane, its *face*. A grid that is handed over
+//! slab by slab goes the same way, and every sum is the same to the bit.
 
 use std::ops::Range;
 
@@ -43,11 +44,12 @@ const WIDTH: usize = 16;
 /// Ordinates of a batch at most: their layers and those of σ and S should stay in a second-level cache.
 const LANES: usize = 8;
 
+/// Bytes that the fields and sums of a slab may take.
+const SLAB: usize = 3 << 19;
+
 /// Memory that outlives a pass, so that passes do not allocate.
 #[derive(Default)]
 pub(super) struct Kept {
-    /// σ, S and its gradient with x slowest.
-    turned: Vec<Vec<f32>>,
     /// Of the ordinates that cross z downwards, and of those that cross it upwards.
     halves: [Half; 2],
     /// What every thread has room for: lanes' rows with their surroundings, the longest row, and fields.
@@ -59,10 +61,21 @@ pub(super) struct Kept {
 struct Half {
     /// φ and J.
     sums: Vec<Vec<f32>>,
-    /// The same with x slowest.
-    turned: Vec<Vec<f32>>,
+    /// σ, S and its gradient of a slab with x slowest, and φ and J.
+    turned: [Vec<Vec<f32>>; 2],
+    /// Of each batch.
+    carried: Vec<Carried>,
+}
+
+/// Radiance that leaves what a batch has passed.
+#[derive(Default)]
+struct Carried {
+    /// The layer before a block, and the last of it: (row, lane, column).
     entry: Aligned,
     exit: Aligned,
+    /// The last plane of the slab before, the way the batch travels, and of this one, for layers that cross it: (layer in the order of
+    /// travel, lane, column).
+    faces: [Vec<f32>; 2],
 }
 
 /// One ordinate as its batch needs it. Its feet lie in the layer before, at `t_row` of the way to row `row + step_row` and at
@@ -89,6 +102,12 @@ struct Batch {
 }
 
 impl Batch {
+    /// Rows and columns of its layers in a slab of so many planes.
+    fn layer(&self, size: [usize; 3], deep: usize) -> [usize; 2] {
+        let (row, col) = lateral(self.axis);
+        [if row == 2 { deep } else { size[row] }, size[col]]
+    }
+
     /// Values between rows of all lanes.
     fn pitch(&self, cols: usize) -> usize {
         self.lanes.len() * stride(cols)
@@ -144,27 +163,21 @@ struct Job<'a> {
     strides: [usize; 2],
     /// Layers of this block, counted in the order of travel.
     layers: Range<usize>,
-    /// Radiance that leaves the layer before the block: (row, lane, column).
+    /// Radiance that leaves the layer before the block: (row, lane, column). Empty before the first one.
     entry: &'a [f32],
-    /// Radiance of the first plane of z the way the batch travels, where that is given: see [`Job::outer`].
-    given: Option<&'a [f32]>,
+    /// Radiance that leaves the row before the first one the way the batch travels: (layer, lane, column). Empty where that is
+    /// the inflow.
+    before: &'a [f32],
     /// True when the sums hold nothing yet.
     first: bool,
 }
 
 impl Job<'_> {
-    /// Where row `j` of layer `l` is in the first and in the last plane of z the way the batch travels, if it is: a face holds
-    /// (row, lane, column) of layers perpendicular to z, else (layer in the order of travel, lane, column).
+    /// True for the last row the way the batch travels, where that is across z.
     #[inline(always)]
-    fn outer(&self, l: usize, j: usize) -> [Option<usize>; 2] {
-        if self.batch.axis == 2 {
-            return [(l == 0).then_some(j), (l + 1 == self.size[2]).then_some(j)];
-        }
-        let ends = [0, self.rows() - 1];
-        let [first, last] = if self.batch.upward { ends } else { [ends[1], ends[0]] };
-        [(j == first).then_some(l), (j == last).then_some(l)]
+    fn is_last(&self, j: usize) -> bool {
+        j == if self.batch.upward { self.rows() - 1 } else { 0 }
     }
-
     #[inline(always)]
     fn rows(&self) -> usize {
         self.size[lateral(self.batch.axis).0]
@@ -201,9 +214,8 @@ struct Band<'a> {
     /// slice that holds the band's rows of all layers.
     sums: Vec<Vec<&'a mut [f32]>>,
     exit: &'a mut [f32],
-    /// Its part of the face that is carried on, from [`Job::outer`] number `face_start` on; empty where there is none.
+    /// What leaves the last row, for the layers of the block; empty where there is none.
     face: &'a mut [f32],
-    face_start: usize,
 }
 
 /// reads σ, S → writes φ and J; returns the largest change of φ and the largest φ.
@@ -220,12 +232,13 @@ pub(super) fn transport(
     let mut current: Vec<&mut [f32]> = current.into_iter().flatten().map(|c| &mut c[..voxels]).collect();
     let parts = 1 + current.len();
     let (fields, ways) = (fields(t), [false, true].map(|upward| batches(t.grid, t.ordinates, upward)));
-    kept.fit(t, &fields, &ways, parts, Passing::Both);
-    let Kept { turned, halves: [down, up], .. } = kept;
+    let threads = rayon::current_num_threads().div_ceil(2);
+    kept.fit(t, fields.len(), &ways, parts, threads);
+    let [down, up] = &mut kept.halves;
     let pass = |half: &mut Half, ways: &[Batch]| {
         let mut sums = std::mem::take(&mut half.sums);
         let mut into: Vec<&mut [f32]> = sums.iter_mut().take(parts).map(|s| &mut s[..voxels]).collect();
-        pass(t, (&fields, turned), ways, Passing::Both, half, (&[], &mut []), &mut into);
+        pass(t.grid.size, &fields, 0..t.grid.size[2], ways, half, threads, (None, &mut []), &mut into);
         half.sums = sums;
     };
     rayon::join(|| pass(down, &ways[0]), || pass(up, &ways[1]));
@@ -248,38 +261,29 @@ pub(super) fn transport_slab(
     let mut sums: Vec<&mut [f32]> = vec![&mut phi[..voxels]];
     sums.extend(current.into_iter().flatten().map(|c| &mut c[..voxels]));
     let (fields, ways) = (fields(t), batches(t.grid, t.ordinates, passage.ascending));
-    let passing = Passing::Slab { given: passage.given };
-    kept.fit(t, &fields, std::slice::from_ref(&ways), sums.len(), passing);
-    let Kept { turned, halves: [half, _], .. } = kept;
+    let threads = rayon::current_num_threads();
+    kept.fit(t, fields.len(), std::slice::from_ref(&ways), sums.len(), threads);
+    let half = &mut kept.halves[0];
+    // The slab before has summed the plane that is given.
+    let deep = t.grid.size[2];
+    let planes = match (passage.given, passage.ascending) {
+        (false, _) => 0..deep,
+        (true, true) => 1..deep,
+        (true, false) => 0..deep - 1,
+    };
+    let faces = (passage.given.then_some(faces.0), faces.1);
     if !passage.added {
-        pass(t, (&fields, turned), &ways, passing, half, faces, &mut sums);
+        pass(t.grid.size, &fields, planes, &ways, half, threads, faces, &mut sums);
         return;
     }
     let mut own = std::mem::take(&mut half.sums);
     let mut into: Vec<&mut [f32]> = own.iter_mut().take(sums.len()).map(|s| &mut s[..voxels]).collect();
-    pass(t, (&fields, turned), &ways, passing, half, faces, &mut into);
+    pass(t.grid.size, &fields, planes, &ways, half, threads, faces, &mut into);
     for (sum, own) in sums.iter_mut().zip(&own) {
         let chunks = sum.par_chunks_mut(CHUNK).zip(own.par_chunks(CHUNK));
         chunks.for_each(|(sum, own)| sum.iter_mut().zip(own).for_each(|(s, o)| *s += o));
     }
     half.sums = own;
-}
-
-/// What passes at a time.
-#[derive(Clone, Copy, PartialEq)]
-enum Passing {
-    /// All ordinates through the whole grid.
-    Both,
-    /// Those that cross z one way, through a slab; the radiance that comes into it may be given.
-    Slab { given: bool },
-}
-
-impl Passing {
-    /// Threads that ordinates which cross z one way have to themselves.
-    fn threads(self) -> usize {
-        let all = rayon::current_num_threads();
-        if self == Passing::Both { all.div_ceil(2) } else { all }
-    }
 }
 
 /// σ, S and its gradient.
@@ -290,24 +294,28 @@ fn fields<'a>(t: &Transport<'a>) -> Vec<&'a [f32]> {
 }
 
 impl Kept {
-    /// Turns the fields, if there are ordinates that need it, and makes room.
-    fn fit(&mut self, t: &Transport, fields: &[&[f32]], ways: &[Vec<Batch>], parts: usize, passing: Passing) {
-        let (size, voxels) = (t.grid.size, t.grid.len());
-        if ways.iter().flatten().any(|b| b.axis == 0) {
-            let len = size[0] * turn::layer(size);
-            resize(&mut self.turned, fields.len(), len);
-            self.halves[..ways.len()].iter_mut().for_each(|half| resize(&mut half.turned, parts, len));
-            for (turned, field) in self.turned.iter_mut().zip(fields) {
-                turn::turn(size, field, turned);
+    /// Makes room for passes of these batches, with so many threads for those that cross z one way.
+    fn fit(&mut self, t: &Transport, fields: usize, ways: &[Vec<Batch>], parts: usize, threads: usize) {
+        let size = t.grid.size;
+        let deep = planes_at_once(size, fields + parts, threads);
+        let mut wanted = [0, 0, fields];
+        for (half, way) in self.halves.iter_mut().zip(ways) {
+            resize(&mut half.sums, parts, t.grid.len());
+            if way.iter().any(|b| b.axis == 0) {
+                let len = size[0] * turn::layer([size[0], size[1], deep]);
+                resize(&mut half.turned[0], fields, len);
+                resize(&mut half.turned[1], parts, len);
             }
-        }
-        self.halves[..ways.len()].iter_mut().for_each(|half| resize(&mut half.sums, parts, voxels));
-        let mut wanted = [0, 0, fields.len()];
-        for batch in ways.iter().flatten() {
-            let (row, col) = lateral(batch.axis);
-            let [rows, cols] = [size[row], size[col]];
-            let held = (height(rows, batch.pitch(cols), passing.threads()) + 2 * BLOCK).min(rows);
-            wanted = [wanted[0].max(batch.lanes.len() * held * stride(cols)), wanted[1].max(cols), wanted[2]];
+            half.carried.resize_with(half.carried.len().max(way.len()), Carried::default);
+            for (batch, carried) in way.iter().zip(&mut half.carried) {
+                let [rows, cols] = batch.layer(size, deep);
+                carried.entry.grow(rows * batch.pitch(cols));
+                carried.exit.grow(rows * batch.pitch(cols));
+                let face = if batch.axis == 2 { 0 } else { size[0] * size[1] * batch.lanes.len() };
+                carried.faces.iter_mut().for_each(|f| f.resize(face, 0.0));
+                let held = (height(rows, batch.pitch(cols), threads) + 2 * BLOCK).min(rows);
+                wanted = [wanted[0].max(batch.lanes.len() * held * stride(cols)), wanted[1].max(cols), fields];
+            }
         }
         // All threads at once: which of them takes which band is up to chance, and so were when they take memory.
         if (0..3).any(|n| wanted[n] > self.room[n]) {
@@ -317,76 +325,127 @@ impl Kept {
     }
 }
 
+/// Planes of a slab: what a cache holds of `volumes` volumes, and no fewer than keep the threads busy.
+fn planes_at_once([nx, ny, nz]: [usize; 3], volumes: usize, threads: usize) -> usize {
+    let fitting = (SLAB / (4 * volumes * nx * ny)).next_multiple_of(8);
+    let busy = if threads > 1 { 2 * BLOCK * threads } else { 8 };
+    fitting.max(busy).min(nz)
+}
+
 /// Makes at least `count` volumes of `len` values.
 fn resize(volumes: &mut Vec<Vec<f32>>, count: usize, len: usize) {
     volumes.resize_with(volumes.len().max(count), Vec::new);
     volumes[..count].iter_mut().for_each(|v| v.resize(len, 0.0));
 }
 
-/// Batches of ordinates that cross planes of z the same way. `fields`: as they are, and turned.
+/// Batches of ordinates that cross planes of z the same way, through some planes. `faces`: what is given before the first plane the way
+/// they travel, and what they leave; a plane for each lane, see [`Carried`].
+#[allow(clippy::too_many_arguments)]
 fn pass(
-    t: &Transport,
-    (fields, turned): (&[&[f32]], &[Vec<f32>]),
+    [nx, ny, nz]: [usize; 3],
+    fields: &[&[f32]],
+    planes: Range<usize>,
     batches: &[Batch],
-    passing: Passing,
     half: &mut Half,
-    (mut entry, mut exit): (&[f32], &mut [f32]),
+    threads: usize,
+    (mut given, mut left): (Option<&[f32]>, &mut [f32]),
     sums: &mut [&mut [f32]],
 ) {
-    let [nx, ny, _] = t.grid.size;
     let plane = nx * ny;
-    let turned_fields: Vec<&[f32]> = turned.iter().take(fields.len()).map(|f| &f[..]).collect();
-    let mut turned_sums: Vec<&mut [f32]> = half.turned.iter_mut().take(sums.len()).map(|s| &mut s[..]).collect();
     if batches.is_empty() {
         sums.iter_mut().for_each(|s| s.fill(0.0));
+        return;
     }
-    let across_x = batches.iter().take_while(|b| b.axis == 0).count();
-    for (n, batch) in batches.iter().enumerate() {
-        let given = passing == Passing::Slab { given: true };
-        let given = given.then(|| entry.split_off(..batch.lanes.len() * plane).expect("a face of every lane"));
-        let carried = match exit.is_empty() {
-            true => &mut [][..],
-            false => exit.split_off_mut(..batch.lanes.len() * plane).expect("a face of every lane"),
-        };
-        let is_turned = batch.axis == 0;
-        let job = Job {
-            batch,
-            size: t.grid.size,
-            fields: if is_turned { &turned_fields } else { fields },
-            strides: [[turn::layer(t.grid.size), ny], [nx, plane], [plane, nx]][batch.axis],
-            layers: 0..0,
-            entry: &[],
-            given,
-            first: n == 0,
-        };
-        let room = (&mut half.entry, &mut half.exit, passing.threads());
-        match is_turned {
-            true => run(job, &mut turned_sums, room, carried),
-            false => run(job, sums, room, carried),
+    let Half { turned: [turned, turned_sums], carried, .. } = half;
+    for (batch, carried) in batches.iter().zip(&mut *carried) {
+        if let Some(given) = &mut given {
+            let face = given.split_off(..batch.lanes.len() * plane).expect("a face of every lane");
+            carried.take(batch, batch.layer([nx, ny, nz], 1)[1], face);
         }
-        if n + 1 == across_x {
-            for (turned, sum) in turned_sums.iter().zip(&mut *sums) {
-                turn::turn_back(t.grid.size, turned, sum);
+    }
+    let upward = batches[0].upward;
+    let across_x = batches.iter().take_while(|b| b.axis == 0).count();
+    let deep = planes_at_once([nx, ny, nz], fields.len() + sums.len(), threads);
+    for done in (0..planes.len()).step_by(deep) {
+        let deep = deep.min(planes.len() - done);
+        let start = if upward { planes.start + done } else { planes.end - done - deep };
+        let (size, held) = ([nx, ny, deep], start * plane..(start + deep) * plane);
+        let fields: Vec<&[f32]> = fields.iter().map(|f| &f[held.clone()]).collect();
+        let mut sums: Vec<&mut [f32]> = sums.iter_mut().map(|s| &mut s[held.clone()]).collect();
+        let (first, room) = (done == 0 && given.is_none(), nx * turn::layer(size));
+        if across_x > 0 {
+            turned.iter_mut().zip(&fields).for_each(|(turned, field)| turn::turn(size, field, &mut turned[..room]));
+        }
+        let turned: Vec<&[f32]> = turned.iter().take(fields.len()).map(|f| &f[..]).collect();
+        let mut turned_sums: Vec<&mut [f32]> = turned_sums.iter_mut().take(sums.len()).map(|s| &mut s[..]).collect();
+        for (n, (batch, carried)) in batches.iter().zip(&mut *carried).enumerate() {
+            let is_turned = batch.axis == 0;
+            let job = Job {
+                batch,
+                size,
+                fields: if is_turned { &turned } else { &fields },
+                strides: [[turn::layer(size), ny], [nx, plane], [plane, nx]][batch.axis],
+                layers: 0..0,
+                entry: &[],
+                before: &[],
+                first: n == 0,
+            };
+            run(job, if is_turned { &mut turned_sums } else { &mut sums }, carried, first, threads);
+            if n + 1 == across_x {
+                for (turned, sum) in turned_sums.iter().zip(&mut sums) {
+                    turn::turn_back(size, turned, sum);
+                }
             }
+        }
+    }
+    if left.is_empty() {
+        return;
+    }
+    for (batch, carried) in batches.iter().zip(&*carried) {
+        let face = left.split_off_mut(..batch.lanes.len() * plane).expect("a face of every lane");
+        carried.leave(batch, batch.layer([nx, ny, nz], 1)[1], face);
+    }
+}
+
+impl Carried {
+    /// Takes up a face: (row, lane, column) of layers perpendicular to z, else (layer in the order of travel, lane, column).
+    fn take(&mut self, batch: &Batch, cols: usize, face: &[f32]) {
+        if batch.axis != 2 {
+            self.faces[0].copy_from_slice(face);
+            return;
+        }
+        for (row, from) in self.entry.chunks_exact_mut(stride(cols)).zip(face.chunks_exact(cols)) {
+            row[..cols].copy_from_slice(from);
+        }
+    }
+
+    /// Hands it over.
+    fn leave(&self, batch: &Batch, cols: usize, face: &mut [f32]) {
+        if batch.axis != 2 {
+            face.copy_from_slice(&self.faces[0]);
+            return;
+        }
+        for (row, into) in self.entry.chunks_exact(stride(cols)).zip(face.chunks_exact_mut(cols)) {
+            into.copy_from_slice(&row[..cols]);
         }
     }
 }
 
-/// All layers of a batch, block by block.
-fn run(
-    job: Job,
-    sums: &mut [&mut [f32]],
-    (entry, exit, threads): (&mut Aligned, &mut Aligned, usize),
-    face: &mut [f32],
-) {
-    let batch = job.batch;
-    let (layers, rows, cols) = (job.size[batch.axis], job.rows(), job.cols());
-    let pitch = batch.pitch(cols);
-    entry.grow(rows * pitch);
-    exit.grow(rows * pitch);
-    let (height, deep) = (height(rows, pitch, threads), batch.lanes.len() * cols);
+/// All layers of a batch in a slab, block by block. `first`: nothing but the inflow comes from the slab before.
+fn run(job: Job, sums: &mut [&mut [f32]], carried: &mut Carried, first: bool, threads: usize) {
+    let (batch, axis) = (job.batch, job.batch.axis);
+    let (layers, rows, cols) = (job.size[axis], job.rows(), job.cols());
+    let (pitch, deep) = (batch.pitch(cols), batch.lanes.len() * cols);
+    let height = height(rows, pitch, threads);
+    let Carried { entry, exit, faces: [before, after] } = carried;
     for start in (0..layers).step_by(BLOCK) {
-        let job = Job { layers: start..(start + BLOCK).min(layers), entry: &entry[..rows * pitch], ..job };
+        let entered = start > 0 || axis == 2 && !first;
+        let job = Job {
+            layers: start..(start + BLOCK).min(layers),
+            entry: if entered { &entry[..rows * pitch] } else { &[] },
+            before: if first { &[] } else { &before[..] },
+            ..job
+        };
         let exits = exit[..rows * pitch].chunks_mut(height * pitch);
         let mut bands: Vec<Band> = exits
             .enumerate()
@@ -395,11 +454,10 @@ fn run(
                 sums: sums.iter().map(|_| Vec::with_capacity(BLOCK)).collect(),
                 exit,
                 face: &mut [],
-                face_start: 0,
             })
             .collect();
         for (part, sum) in sums.iter_mut().enumerate() {
-            if batch.axis == 1 {
+            if axis == 1 {
                 let rows = sum.chunks_mut(height * job.strides[1]);
                 bands.iter_mut().zip(rows).for_each(|(b, s)| b.sums[part].push(s));
             } else {
@@ -409,19 +467,14 @@ fn run(
                 }
             }
         }
-        if batch.axis != 2 {
+        if axis != 2 {
             let last = if batch.upward { bands.last_mut() } else { bands.first_mut() };
-            if let Some(band) = last.filter(|_| !face.is_empty()) {
-                (band.face, band.face_start) = (&mut face[start * deep..job.layers.end * deep], start);
-            }
-        } else if job.layers.end == layers {
-            for (band, face) in bands.iter_mut().zip(face.chunks_mut(height * deep)) {
-                (band.face, band.face_start) = (face, band.rows.start);
-            }
+            last.expect("a band").face = &mut after[start * deep..job.layers.end * deep];
         }
         bands.into_par_iter().with_max_len(1).for_each(|mut band| band::run(&job, &mut band));
-        std::mem::swap(&mut *entry, &mut *exit);
+        std::mem::swap(entry, exit);
     }
+    std::mem::swap(before, after);
 }
 
 /// Values between rows of neighbouring lanes: one line more than a row, so that rows of several lanes and layers do not all

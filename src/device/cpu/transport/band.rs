@@ -97,10 +97,18 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
     let field =
         |f: usize, l: usize, j: usize| &job.fields[f][job.layer(l) * job.strides[0] + j * job.strides[1]..][..cols];
     enter(job, &held, front * pitch, radiance, dark);
+    let groups = held.len().div_ceil(tall);
     let summed: f32 = lanes.iter().map(|lane| lane.weight).sum();
     for (done, l) in job.layers.clone().enumerate() {
         let reach = job.layers.end - 1 - l;
         let (low, high) = (band.rows.start.saturating_sub(reach), (band.rows.end + reach).min(rows));
+        if l > 0 && !job.before.is_empty() {
+            for (n, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact_mut(extent)).enumerate() {
+                let row = at(if lane.step_row < 0 { held.start } else { held.end }, lane, done);
+                let row = if lane.step_row < 0 { row - pitch } else { row };
+                radiance[row..][..cols].copy_from_slice(&job.before[((l - 1) * lanes.len() + n) * cols..][..cols]);
+            }
+        }
         for g in (low - held.start) / tall..(high - held.start).div_ceil(tall) {
             let start = held.start + g * tall;
             let range = start.max(low)..(start + tall).min(high);
@@ -132,9 +140,12 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 if !needed {
                     continue;
                 }
-                let was_dark = |g: Option<usize>| g.and_then(|g| dark.get(g * lanes.len() + n_lane)).is_none_or(|d| *d);
-                if depth == Depth::Empty && lane.inflow == 0.0 && job.given.is_none() {
-                    if was_dark(Some(g)) && was_dark(g.checked_add_signed(lane.step_row)) {
+                if depth == Depth::Empty && lane.inflow == 0.0 {
+                    let was_dark = |g: usize| match g < groups {
+                        true => dark[g * lanes.len() + n_lane],
+                        false => job.before.is_empty(),
+                    };
+                    if was_dark(g) && was_dark(g.wrapping_add_signed(lane.step_row)) {
                         continue;
                     }
                 }
@@ -163,28 +174,16 @@ fn block_body(job: &Job, band: &mut Band, scratch: &mut Scratch) {
                 if lane.inflow != 0.0 || depth == Depth::Empty {
                     exit.chunks_exact_mut(pitch).for_each(|row| row[cols..].fill(lane.inflow));
                 }
-                if let Some(given) = job.given {
-                    for (row, j) in exit.chunks_exact_mut(pitch).zip(range.clone()) {
-                        if let [Some(outer), _] = job.outer(l, j) {
-                            row[..cols].copy_from_slice(&given[(outer * lanes.len() + n_lane) * cols..][..cols]);
-                        }
-                    }
-                }
             }
             if isotropic && depth != Depth::Empty {
                 average(short, s, summed, &mut sum[..n]);
             }
             for j in own {
-                let [first, last] = job.outer(l, j);
                 let row = (j - range.start) * pitch;
-                if job.given.is_some() && first.is_some() {
-                    // The slab before has summed this plane.
-                    (0..parts).for_each(|part| sum[part * tall * pitch + row..][..cols].fill(0.0));
-                }
                 deposit(job, band, (l, j), |part| &sum[part * tall * pitch + row..][..cols]);
-                if let Some(outer) = last.filter(|_| !band.face.is_empty()) {
+                if !band.face.is_empty() && job.is_last(j) {
                     for (n, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact(extent)).enumerate() {
-                        let into = &mut band.face[((outer - band.face_start) * lanes.len() + n) * cols..][..cols];
+                        let into = &mut band.face[(done * lanes.len() + n) * cols..][..cols];
                         into.copy_from_slice(&radiance[at(j, lane, done + 1)..][..cols]);
                     }
                 }
@@ -254,7 +253,7 @@ fn enter(job: &Job, held: &Range<usize>, front: usize, radiance: &mut [f32], dar
         let (rows, after) = rows.split_at_mut(held.len() * pitch);
         before.fill(lane.inflow);
         after.fill(lane.inflow);
-        if job.layers.start > 0 {
+        if !job.entry.is_empty() {
             for (j, row) in held.clone().zip(rows.chunks_exact_mut(pitch)) {
                 lay(&job.entry[(j * lanes.len() + n) * stride..][..cols], lane.inflow, row);
             }
