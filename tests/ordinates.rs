@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gloaming::Grid;
 use gloaming::device::cpu::Cpu;
-use gloaming::device::{Buffer, Device, Ordinate, SourceTerm, Sweep, Transport, Travel};
+use gloaming::device::{Buffer, Device, Ordinate, Passage, SourceTerm, Sweep, Transport, Travel};
 use gloaming::light::ordinates::{ScatterProblem, ScatterReport, Scattered, Start, forward, ordinates};
 use gloaming::{BrickLayout, Error, Region};
 
@@ -141,6 +141,42 @@ fn a_pass_is_what_the_equation_says_on_any_grid() {
             let max = |f: &dyn Fn(usize) -> f32| (0..n).map(f).fold(0.0, f32::max);
             assert_eq!((change, peak), (max(&|i| (got[0][i] - before[i]).abs()), max(&|i| got[0][i])));
         }
+    }
+}
+
+/// What a pass emits it absorbs or lets go, to rounding: of light that leaves by one face, `Σ_face |Ω_z| I = Σ σ(S − Ī) h_z`.
+#[test]
+fn a_pass_loses_no_light() {
+    let device = Cpu::new(2).unwrap();
+    let grid = Grid { size: [40, 36, 30], spacing: [0.9, 1.1, 1.3], origin: [0.0; 3] };
+    let near = |i: usize| {
+        let at = [i % 40, i / 40 % 36, i / 1440];
+        (0..3).all(|a| at[a].abs_diff(grid.size[a] / 2) < 6)
+    };
+    let [sigma, source] = [3, 4].map(|seed| {
+        noise(grid.len(), seed).iter().enumerate().map(|(i, v)| if near(i) { 2.0 * v } else { 0.0 }).collect()
+    });
+    let (sigma, source): (Vec<f32>, Vec<f32>) = (sigma, source);
+    for direction in [Vec3::new(0.2, -0.15, 0.9), Vec3::Z, Vec3::new(-0.1, 0.12, -0.7)] {
+        let set = [Ordinate { direction: direction.normalize(), weight: 1.0, inflow: 0.0 }];
+        let buffers = [upload(&device, &sigma), upload(&device, &source)];
+        let transport =
+            Transport { grid: &grid, ordinates: &set, sigma: &buffers[0], source: &buffers[1], gradient: None };
+        let passage = Passage { ascending: direction.z > 0.0, given: false, added: false };
+        let [entry, mut exit] = [(); 2].map(|()| device.alloc(40 * 36).unwrap());
+        let mut phi = device.alloc(grid.len()).unwrap();
+        device.transport_slab(&transport, &passage, (&entry, &mut exit), &mut phi, None).unwrap();
+        let mean = download(&device, &phi);
+        let sum = |of: &dyn Fn(usize) -> f64| (0..grid.len()).map(of).sum::<f64>();
+        let kept = |i: usize| f64::from(sigma[i]) * (f64::from(source[i]) - f64::from(mean[i])) * 1.3;
+        let left =
+            download(&device, &exit).iter().map(|v| f64::from(*v)).sum::<f64>() * f64::from(set[0].direction.z).abs();
+        let emitted = sum(&|i| f64::from(sigma[i] * source[i]) * 1.3);
+        assert!(
+            (sum(&kept) - left).abs() < 1e-6 * emitted && left > 0.05 * emitted,
+            "{} {left} of {emitted}",
+            sum(&kept)
+        );
     }
 }
 

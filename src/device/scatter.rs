@@ -16,11 +16,11 @@ pub struct Ordinate {
     pub inflow: f32,
 }
 
-/// One pass of transport along every ordinate, one colour channel:
-/// `I = I_up e^−τ + w₀ S + w₁ S_up`, accumulated into `φ = Σ w I` and `J = Σ w Ω I`
-/// (light.md, first-collision-source ordinates). I, σ and S at the foot are bilinear in the layer before. Outside the grid
-/// σ = 0 and I = S = the inflow, so that inflow and S equal to 1 give I = 1 everywhere (the white furnace); the first layer
-/// is reached after half a step, with the S of the voxel itself.
+/// One pass of transport along every ordinate, one colour channel, by step characteristics: a voxel is a step of uniform σ and S,
+/// `I_out = I_in + A(S − I_in)` with `A = 1 − e^−τ` and τ = σ times the length of the step between two layers. Its mean over the voxel,
+/// `Ī = I_in + B(S − I_in)`, `B = 1 − A/τ`, is accumulated into `φ = Σ w Ī` and `J = Σ w Ω Ī`. I_in is bilinear at the foot in
+/// what leaves the layer before; outside the grid it is the inflow, so that inflow and S equal to 1 give I = 1 everywhere (the white
+/// furnace). What leaves voxels is what enters them and what they emit, less what they absorb.
 pub struct Transport<'a> {
     /// The light grid.
     pub grid: &'a Grid,

@@ -29,7 +29,7 @@
 //! # Known weaknesses
 //!
 //! Rays show near tiny bright sources. A medium that is dense right up to the faces of the box loses too much light there,
-//! to first order in the spacing: 7 % of the fluence of a cube of τ 16 and ω .99 that fills 32³ voxels, 2 % with a quarter
+//! to first order in the spacing: 3 % of the fluence of a cube of τ 16 and ω .99 that fills 32³ voxels, 1.4 % with a quarter
 //! of the box empty around it (both against Monte Carlo). Emission where there is no extinction at all is not carried.
 
 use std::time::Instant;

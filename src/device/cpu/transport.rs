@@ -45,7 +45,7 @@ const WIDTH: usize = 16;
 const LANES: usize = 8;
 
 /// Bytes that the fields and sums of a slab may take.
-const SLAB: usize = 3 << 19;
+const SLAB: usize = 3 << 20;
 
 /// Memory that outlives a pass, so that passes do not allocate.
 #[derive(Default)]

@@ -251,8 +251,8 @@ fn enter(job: &Job, held: &Range<usize>, front: usize, radiance: &mut [f32], dar
     for (n, (lane, radiance)) in lanes.iter().zip(radiance.chunks_exact_mut(extent)).enumerate() {
         let (before, rows) = radiance.split_at_mut(front);
         let (rows, after) = rows.split_at_mut(held.len() * pitch);
-        before.fill(lane.inflow);
-        after.fill(lane.inflow);
+        // The other side is not looked at.
+        if lane.step_row < 0 { before } else { after }.fill(lane.inflow);
         if !job.entry.is_empty() {
             for (j, row) in held.clone().zip(rows.chunks_exact_mut(pitch)) {
                 lay(&job.entry[(j * lanes.len() + n) * stride..][..cols], lane.inflow, row);
