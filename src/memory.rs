@@ -184,7 +184,7 @@ pub fn smallest(scene: &Scene, grid: &Grid) -> Result<u64> {
         least = least.max(match scattering {
             Some(Scattering { ordinates, given, current, .. }) => {
                 let (fields, sums) = (2 + current, 1 + current);
-                let transport = 4 * fields + 2 + 4 * sums + 2 * ordinates + 16;
+                let transport = 5 * fields + 2 + 6 * sums + 4 * ordinates + 16;
                 let source = 2 * (3 + given + current) + sums;
                 coarser.max(plane(coarse) * transport.max(source))
             }

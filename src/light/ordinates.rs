@@ -216,8 +216,8 @@ impl Scattered {
         let parts = if anisotropy != 0.0 { 4 } else { 1 };
         // Extinction, scattering and emission as they are and in the box; a channel's own extinction, zeros, ones.
         let optics = 1 + channels * (1 + usize::from(glows)) + 2 + usize::from(glows) + 3;
-        // What a pass has turned, and its sums of two ways as they are and turned.
-        let passing = 1 + parts + 4 * parts;
+        // A pass's sums of two ways; with many threads as much again is turned, and what is summed from.
+        let passing = 2 * parts + 2 * (1 + 2 * parts);
         // Of a coarse grid, ten volumes of an eighth.
         states * parts + optics + 2 * lights + passing + 2
     }

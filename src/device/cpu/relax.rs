@@ -127,17 +127,24 @@ fn residual_body(
 pub(crate) fn prolong(from: &Slab, values: &[f32], to: &Slab, into: &mut [f32]) {
     let (coarse, [nx, ny, nz]) = (from.size, to.size);
     let columns: Vec<_> = (0..nx).map(|i| between(i, nx, coarse[0])).collect();
-    into[..to.len()].par_chunks_exact_mut(nx).enumerate().with_min_len(16).for_each(|(row, into)| {
-        let (y, z) = (between(row % ny, ny, coarse[1]), between(to.planes.start + row / ny, nz, coarse[2]));
-        let line = |y: usize, z: usize| &values[((z - from.planes.start) * coarse[1] + y) * coarse[0]..][..coarse[0]];
-        let lines = [line(y.0, z.0), line(y.1, z.0), line(y.0, z.1), line(y.1, z.1)];
-        for (into, x) in into.iter_mut().zip(&columns) {
-            let along = |line: &[f32]| line[x.0] + x.2 * (line[x.1] - line[x.0]);
-            let [a, b, c, d] = lines.map(along);
-            let (low, high) = (a + y.2 * (b - a), c + y.2 * (d - c));
-            *into += low + z.2 * (high - low);
-        }
-    });
+    let rows = into[..to.len()].par_chunks_exact_mut(nx).enumerate().with_min_len(16);
+    rows.for_each_init(
+        || vec![0.0f32; coarse[0]],
+        |across, (row, into)| {
+            let (y, z) = (between(row % ny, ny, coarse[1]), between(to.planes.start + row / ny, nz, coarse[2]));
+            let line =
+                |y: usize, z: usize| &values[((z - from.planes.start) * coarse[1] + y) * coarse[0]..][..coarse[0]];
+            let (near, far) = ((line(y.0, z.0), line(y.1, z.0)), (line(y.0, z.1), line(y.1, z.1)));
+            for (i, value) in across.iter_mut().enumerate() {
+                let low = near.0[i] + y.2 * (near.1[i] - near.0[i]);
+                let high = far.0[i] + y.2 * (far.1[i] - far.0[i]);
+                *value = low + z.2 * (high - low);
+            }
+            for (into, x) in into.iter_mut().zip(&columns) {
+                *into += across[x.0] + x.2 * (across[x.1] - across[x.0]);
+            }
+        },
+    );
 }
 
 /// The two coarse values beside fine value i of n, and how far it is from the first to the second.

@@ -50,8 +50,10 @@ impl Paged {
 
         let weight: f64 = fields.iter().map(|b| Feed::weight(store(b), size, size[2])).sum();
         let sums_weight: f64 = sums.iter().map(|s| Feed::weight(s, size, size[2])).sum();
-        let each = weight + sums_weight + Feed::weight(store(phi), size, size[2]) + (parts * plane) as f64;
-        let more = weight + ((parts + 2 * faces + LAYERS) * plane) as f64;
+        // The device has sums of its own, what it has turned, and the faces of slabs of its own.
+        let own = (3 * parts + fields.len()) * plane;
+        let each = weight + sums_weight + Feed::weight(store(phi), size, size[2]) + own as f64;
+        let more = weight + ((parts + 4 * faces + LAYERS) * plane) as f64;
         let depth = self.depth(size[2], each, more)?;
         let slabs = slabs(size[2], depth);
         let mut made = (0..parts).map(|_| self.inner.alloc(plane * (depth + 1))).collect::<Result<Vec<_>>>()?;

@@ -45,7 +45,9 @@ impl Anderson {
         for state in [&mut slot.value, &mut slot.residual] {
             state.resize(device, value.phi.len())?;
         }
-        slot.value.combine(device, &[(value, 1.0)])?;
+        if coarse.is_none() || value.current.is_some() {
+            slot.value.combine(device, &[(value, 1.0)])?;
+        }
         slot.residual.combine(device, &[(value, 1.0), (x, -1.0)])?;
         if let Some(coarse) = coarse {
             coarse.correct(device, x, &mut slot.value, &mut slot.residual)?;
