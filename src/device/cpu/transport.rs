@@ -26,12 +26,13 @@ use rayon::prelude::*;
 use super::host;
 use super::simd::dispatch;
 use aligned::Aligned;
+use batch::{Batch, batches, lateral};
 
-use crate::device::{Ordinate, Passage, Sweep, Transport};
-use crate::grid::Grid;
+use crate::device::{Passage, Transport};
 
 mod aligned;
 mod band;
+mod batch;
 mod rows;
 mod turn;
 
@@ -40,9 +41,6 @@ const BLOCK: usize = 16;
 
 /// Values that are worked on together; rows in working memory are padded to a multiple of them.
 const WIDTH: usize = 16;
-
-/// Ordinates of a batch at most: their layers and those of σ and S should stay in a second-level cache.
-const LANES: usize = 8;
 
 /// Bytes that the fields and sums of a slab may take.
 const SLAB: usize = 3 << 20;
@@ -76,81 +74,6 @@ struct Carried {
     /// The last plane of the slab before, the way the batch travels, and of this one, for layers that cross it: (layer in the order of
     /// travel, lane, column).
     faces: [Vec<f32>; 2],
-}
-
-/// One ordinate as its batch needs it. Its feet lie in the layer before, at `t_row` of the way to row `row + step_row` and at
-/// `t_col` of the way to the column before (`ascending`) or the next.
-struct Lane {
-    weight: f32,
-    inflow: f32,
-    omega: [f32; 3],
-    step_row: isize,
-    t_row: f32,
-    ascending: bool,
-    t_col: f32,
-}
-
-/// Ordinates of the same dominant axis, direction of travel along it and along z, and length of a step.
-struct Batch {
-    axis: usize,
-    ascending: bool,
-    /// Across z.
-    upward: bool,
-    /// World length between layers.
-    length: f32,
-    lanes: Vec<Lane>,
-}
-
-impl Batch {
-    /// Rows and columns of its layers in a slab of so many planes.
-    fn layer(&self, size: [usize; 3], deep: usize) -> [usize; 2] {
-        let (row, col) = lateral(self.axis);
-        [if row == 2 { deep } else { size[row] }, size[col]]
-    }
-
-    /// Values between rows of all lanes.
-    fn pitch(&self, cols: usize) -> usize {
-        self.lanes.len() * stride(cols)
-    }
-}
-
-/// Row and column axes of layers perpendicular to `axis`; columns are contiguous in memory, for x in what is turned.
-fn lateral(axis: usize) -> (usize, usize) {
-    [(2, 1), (2, 0), (1, 0)][axis]
-}
-
-/// Those that cross planes of z upwards, or the others.
-fn batches(grid: &Grid, ordinates: &[Ordinate], upward: bool) -> Vec<Batch> {
-    let mut all: Vec<Batch> = Vec::new();
-    for key in 0..6 {
-        let (axis, ascending) = (key / 2, key % 2 == 0);
-        let (row, col) = lateral(axis);
-        let first = all.len();
-        for o in ordinates {
-            let sweep = Sweep::new(grid, o.direction, false);
-            let d = sweep.direction;
-            if sweep.axis() != axis || (d[axis] >= 0.0) != ascending || sweep.ascending()[2] != upward {
-                continue;
-            }
-            let offset = |a: usize| (d[a] / d[axis]).abs().min(1.0);
-            let lane = Lane {
-                weight: o.weight,
-                inflow: o.inflow,
-                omega: o.direction.to_array(),
-                step_row: if d[row] >= 0.0 { -1 } else { 1 },
-                t_row: offset(row),
-                ascending: d[col] >= 0.0,
-                t_col: offset(col),
-            };
-            // Symmetric directions differ by rounding.
-            let fits = |b: &&mut Batch| (b.length - sweep.length).abs() <= 4e-7 * b.length && b.lanes.len() < LANES;
-            match all[first..].iter_mut().find(fits) {
-                Some(batch) => batch.lanes.push(lane),
-                None => all.push(Batch { axis, ascending, upward, length: sweep.length, lanes: vec![lane] }),
-            }
-        }
-    }
-    all
 }
 
 /// What every band of a batch reads.

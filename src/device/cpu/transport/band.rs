@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use super::super::simd::{dispatch, prefetch};
 use super::aligned::Aligned;
+use super::batch::{LANES, Lane};
 use super::rows::{Depth, Feet, average, blend, cross, cross_towards, largest, optics, pass_on};
-use super::{BLOCK, Band, Job, LANES, Lane, WIDTH, stride};
+use super::{BLOCK, Band, Job, WIDTH, stride};
 
 /// A thread's working memory.
 #[derive(Default)]
