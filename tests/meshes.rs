@@ -364,20 +364,28 @@ fn slices_end_at_meshes() {
     let [lit, ..] =
         middle(&frame(|_| 1.0, &[], &[&sets[..], &["lights.0.direction=[0, 0, 1]"]].concat()).unwrap().pixels);
     assert!(lit > 0.01, "{lit}");
-    // Its own light, as ray casting shows it.
-    for more in
-        [&[][..], &["lights.0.direction=[0.6, 0, -0.8]"], &["lights.0.kind=environment", "lights.0.intensity=2"]]
-    {
-        let [cast, sliced] = ["raycast", "slices"].map(|kind| {
+    // Its own light, as ray casting shows it. The sky's counts as undimmed in slices; ray casting has ordinates for it, and takes half their
+    // fluence a voxel and a half before the square.
+    let both = |more: &[&str], value: f32| {
+        ["raycast", "slices"].map(|kind| {
             let kind = format!("render.kind={kind}");
             let sets = [&[kind.as_str(), "light.directions=32", "transfer.albedo=0.2"], more].concat();
-            // The sky's light counts as undimmed.
-            middle(&picture(if more.len() == 2 { 0.0 } else { 0.2 }, &square, &sets).unwrap())
-        });
-        // Ray casting has ordinates for the sky, and takes half their fluence a voxel and a half before the square: what comes up past
-        // its edges counts too.
-        near(sliced[2], cast[2], if more.len() == 2 { 0.2 } else { 0.02 });
+            middle(&picture(value, &square, &sets).unwrap())[2]
+        })
+    };
+    let sky = ["lights.0.kind=environment", "lights.0.intensity=2"];
+    for (more, value) in [
+        (vec![], 0.2),
+        (vec!["lights.0.direction=[0.6, 0, -0.8]"], 0.2),
+        ([&sky[..], &["light.resolution=1"]].concat(), 0.0),
+    ] {
+        let [cast, sliced] = both(&more, value);
+        near(sliced, cast, 0.02);
     }
+    // At half the resolution that is farther from the square, and 0.20 of the sky beneath is seen past its edges: the mean of
+    // sin(atan(h/r)) round it, with h = 1.5/16 and r the way to the edge.
+    let [cast, sliced] = both(&sky, 0.0);
+    assert!((sliced..1.21 * sliced).contains(&cast), "{cast}, not {sliced}");
 }
 
 /// Below an opaque square slices are dark, beside it as without: on its shadow's edge to a texel or two.

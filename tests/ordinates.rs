@@ -659,8 +659,8 @@ fn without_scattering_only_the_environment_remains() {
 }
 
 /// All orders of scattering on the reference scene (`plume_128.h5`: σ_t = 30·density, albedo .8, irradiance π along
-/// (.6, .4, −.7)) at half resolution: mean fluence of scattered light, against that of 16 × 500,000 photons through the trilinear
-/// medium (tests/common/monte_carlo.rs; with albedo .8 less with albedo 0): 0.2652 ± 0.0009.
+/// (.6, .4, −.7)) at half resolution: mean and largest fluence of scattered light of an independent implementation (numpy, f64). The
+/// mean of 16 × 500,000 photons through the trilinear medium (tests/common/monte_carlo.rs; albedo .8 less albedo 0) is 0.2652 ± 0.0009.
 #[test]
 fn scattered_light_of_the_reference_scene() {
     let device = Cpu::new(0).unwrap();
@@ -710,5 +710,6 @@ fn scattered_light_of_the_reference_scene() {
     assert!(report.converged && report.iterations <= 13, "{report:?}");
     let phi = download(&device, solution.fluence()[0].0);
     let mean = phi.iter().map(|p| f64::from(*p)).sum::<f64>() / phi.len() as f64;
-    assert!((mean / 0.265_2 - 1.0).abs() < 0.01, "mean {mean}");
+    assert!((mean / 0.266_323 - 1.0).abs() < 2e-4 && (mean / 0.265_2 - 1.0).abs() < 0.01, "mean {mean}");
+    assert!((largest(&phi) / 2.243_28 - 1.0).abs() < 3e-4, "largest {}", largest(&phi));
 }
